@@ -1,0 +1,39 @@
+"""Records that pass between the edge's pipeline, its Imu node and its uplink."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryReply:
+    """The map service's answer to frame `seq`, as the Imu node reads it.
+
+    T_map_lidar, T_map_odom: (4, 4). covariance: (6, 6), right tangent, rotation first.
+    degenerate: some direction was not observed. rejected: why the frame was not mapped, or "".
+    """
+
+    seq: int
+    stamp_ns: int
+    T_map_lidar: NDArray[np.float64]
+    T_map_odom: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    state: int
+    degenerate: bool
+    rejected: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdomPoses:
+    """IMU-rate poses T_odom_lidar out of the Imu node (one row a sample).
+
+    stamps_ns: (M,) int64; positions_m: (M, 3); quats_xyzw: (M, 4); velocities_mps: (M, 3) in `odom`.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    positions_m: NDArray[np.float64]
+    quats_xyzw: NDArray[np.float64]
+    velocities_mps: NDArray[np.float64]

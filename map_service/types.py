@@ -1,0 +1,111 @@
+"""Records that pass between the pipeline (one session, single writer), the session and the store."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class State(IntEnum):
+    """Same numbers as splitslam.v1.TrackingState."""
+
+    INITIALISING = 1
+    TRACKING = 2
+    DEGENERATE = 3
+    UNANCHORED = 4
+    LOCALISING = 5
+    LOST = 6
+
+
+class Cause(IntEnum):
+    """Same numbers as splitslam.v1.CorrectionCause."""
+
+    LOOP = 1
+    GNSS = 2
+    RELOCALISE = 3
+    REGISTRATION = 4
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionRecord:
+    """One jump of T_map_odom."""
+
+    cause: Cause
+    translation_m: float
+    rotation_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapAnswer:
+    """The pipeline's answer to one frame. Transforms (4, 4) float64; covariance (6, 6), right tangent, rot first."""
+
+    seq: int
+    stamp_ns: int
+    T_map_lidar: NDArray[np.float64]
+    T_map_odom: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    state: State
+    degenerate_axes: NDArray[np.float64]  # (A, 6)
+    correction: CorrectionRecord | None
+    keyframe: bool
+    registration_ms: float
+    graph_ms: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameRecord:
+    """A frame as stored: its pose relative to its keyframe and the answer that was given."""
+
+    seq: int
+    stamp_ns: int
+    keyframe: int
+    T_keyframe_lidar: NDArray[np.float64]
+    T_map_lidar_online: NDArray[np.float64]
+    state: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeRecord:
+    """A keyframe as stored. `cloud` is map_service.cloud's encoding (quantised corners + surfs)."""
+
+    index: int
+    seq: int
+    stamp_ns: int
+    T_map_lidar: NDArray[np.float64]
+    cloud: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class FactorRecord:
+    """One factor of the graph; `payload` is graph.py's versioned encoding."""
+
+    index: int
+    kind: str  # "prior" | "odometry" | "gnss" | "loop" | "gravity"
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commit:
+    """Everything since the previous commit; applied atomically, compare-and-set on (epoch, previous_seq)."""
+
+    previous_seq: int
+    last_seq: int
+    frames: list[FrameRecord]
+    keyframes: list[KeyframeRecord]
+    factors: list[FactorRecord]
+    keyframe_poses: list[tuple[int, NDArray[np.float64]]]  # corrected since: (index, T_map_lidar)
+    tracker: bytes  # pipeline state needed to go on after last_seq, versioned
+
+
+@dataclass(slots=True, eq=False)
+class Snapshot:
+    """A whole session as loaded from the store, input of MapPipeline.restore."""
+
+    last_seq: int
+    keyframes: list[KeyframeRecord]
+    factors: list[FactorRecord]
+    tracker: bytes
+    frames: list[FrameRecord] = field(default_factory=list)
