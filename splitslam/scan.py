@@ -64,13 +64,10 @@ class GnssFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPacket:
-    """What a source hands to the edge pipeline: a scan and all that came before its end.
+    """A scan that the IMU covers to its end, and the GNSS fixes since the packet before.
 
-    A packet is released only when the IMU covers the scan's end (or the input has ended).
-    imu: every sample since the previous packet, up to the first one at or after `scan.end_ns`.
-    fixes: GNSS fixes since the previous packet.
+    Every IMU sample up to the first one at or after `scan.end_ns` has been handed over before the packet.
     """
 
     scan: Scan
-    imu: ImuSamples
     fixes: tuple[GnssFix, ...] = ()
