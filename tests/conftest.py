@@ -1,0 +1,25 @@
+"""Fixtures that every area uses."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real and made recordings: $SPLITSLAM_DATA or ../shared/data.
+
+    Without it a test is skipped on a laptop and fails in CI, where a missing recording must not look like success.
+    """
+    folder = Path(os.environ.get("SPLITSLAM_DATA") or ROOT.parent / "shared" / "data")
+    if not (folder / "yard1" / "yard1.bag").is_file():
+        reason = f"no recordings in {folder} (set SPLITSLAM_DATA)"
+        if os.environ.get("CI", "").lower() in ("true", "1"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return folder

@@ -1,0 +1,27 @@
+"""Every tolerance of the tests, in metres, radians, seconds and kbit/s, with the reason for its size."""
+
+from __future__ import annotations
+
+# The deskew back ends are held to the float64 reference at this distance.
+DESKEW_RANGE_M = 100.0
+# cpu against reference: float32 coordinates at 100 m have a step of 8 um; knot interpolation adds the rest.
+DESKEW_CPU_M = 1e-3
+
+# SE(3) maps in float64: exp and log undo each other to rounding.
+SE3_ROUND_TRIP_RAD = 1e-9
+SE3_ROUND_TRIP_M = 1e-9
+
+# Accuracy promised on the recordings (absolute trajectory error after SE(3) alignment).
+YARD1_ATE_M = 0.03
+YARD1_ONLINE_ATE_M = 0.05
+KITTI_RING16_ATE_M = 0.15
+KITTI_RING16_RPE_1S_M = 0.12
+KITTI_RING64_ATE_M = 0.08
+
+# Restarting the service half way may cost this much accuracy, whichever is larger.
+RESTART_ATE_RATIO = 1.20
+RESTART_ATE_M = 0.002
+
+YARD1_UPLINK_KBPS = 1_500.0
+# Real time: how much longer than the recording a run by the clock may take.
+REALTIME_SLACK_S = 2.0
