@@ -1,0 +1,47 @@
+"""Run in a fresh interpreter: imports every module of one side with all other installed packages hidden.
+
+argv: JSON {packages, allowed}. Prints JSON {modules, files}: all that was loaded, and the files of ours among it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.abc
+import importlib.metadata
+import json
+import pkgutil
+import sys
+
+
+def canonical(name: str) -> str:
+    return name.lower().replace("_", "-").replace(".", "-")
+
+
+class Hider(importlib.abc.MetaPathFinder):
+    """Makes the packages of distributions that are not allowed look as if they were not installed."""
+
+    def __init__(self, allowed: set[str]) -> None:
+        owners = importlib.metadata.packages_distributions()
+        self.hidden = {top for top, dists in owners.items() if not any(canonical(d) in allowed for d in dists)}
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> None:
+        if fullname.partition(".")[0] in self.hidden:
+            raise ModuleNotFoundError(
+                f"No module named {fullname!r} (not among this side's dependencies)", name=fullname
+            )
+
+
+def main() -> None:
+    request = json.loads(sys.argv[1])
+    sys.meta_path.insert(0, Hider(set(request["allowed"])))
+    for name in request["packages"]:
+        package = importlib.import_module(name)
+        for module in pkgutil.walk_packages(getattr(package, "__path__", []), f"{name}."):
+            importlib.import_module(module.name)
+    ours = [m for n, m in sys.modules.items() if n.partition(".")[0] in ("splitslam", "edge_agent", "map_service")]
+    files = sorted({m.__file__ for m in ours if getattr(m, "__file__", None)})
+    print(json.dumps({"modules": sorted(sys.modules), "files": files}))
+
+
+if __name__ == "__main__":
+    main()
