@@ -39,7 +39,7 @@ def main() -> None:
         for module in pkgutil.walk_packages(getattr(package, "__path__", []), f"{name}."):
             importlib.import_module(module.name)
     ours = [m for n, m in sys.modules.items() if n.partition(".")[0] in ("splitslam", "edge_agent", "map_service")]
-    files = sorted({m.__file__ for m in ours if getattr(m, "__file__", None)})
+    files = sorted({file for module in ours if (file := getattr(module, "__file__", None))})
     print(json.dumps({"modules": sorted(sys.modules), "files": files}))
 
 
