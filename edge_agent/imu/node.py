@@ -1,0 +1,272 @@
+"""The paper's Imu node: IMU-rate continuous T_odom_lidar, bias, and the motion inside each scan.
+
+Three clocks meet here. Samples come at IMU rate and are integrated from the last optimised state; scans ask for the
+motion they were taken in; answers of the map service come late and correct the state in the past, after which the
+samples since then are integrated again. What leaves the node never jumps: the difference that a correction makes at
+the newest sample becomes an offset that fades.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.imu import _kernels as kernels
+from edge_agent.imu.buffer import ImuBuffer
+from edge_agent.imu.graph import ImuNoise, LocalGraph, NavigationState
+from edge_agent.imu.settings import ImuSettings
+from edge_agent.types import OdometryReply, OdomPoses
+from splitslam import se3
+from splitslam.features import Knots, Motion
+from splitslam.robot import Robot
+from splitslam.scan import ImuSamples
+
+Array = NDArray[np.float64]
+INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
+_STILL_GYRO_RADPS = 0.03
+
+
+class ImuNode:
+    """One robot's Imu node; single-threaded, see daemon.py for who calls what when."""
+
+    def __init__(self, robot: Robot, settings: ImuSettings) -> None:
+        self.robot, self.settings = robot, settings
+        self.T_lidar_imu = robot.T_lidar_imu
+        self.T_imu_lidar = se3.inv(robot.T_lidar_imu)
+        self.buffer = ImuBuffer()
+        self.graph = LocalGraph(settings, robot.gravity_mps2)
+        self.T_map_odom = np.eye(4)
+        self.state = INITIALISING
+        self.covariance = np.eye(6)
+        self.resets = 0
+        self._worst = np.zeros(2)
+        self._anchor: NavigationState | None = None
+        self._started = False  # the graph has its first key
+        self._answers = 0
+        self._live = np.zeros((1, 15))
+        self._live_ns = 0
+        self._offset = np.zeros(6)
+        self._history: deque[tuple[int, Array]] = deque()
+        self._previous_scan_ns: int | None = None
+        self._tilt_sigma_rad = 0.1
+
+    # --- IMU rate ---------------------------------------------------------------------------------------------
+
+    def add_imu(self, samples: ImuSamples) -> OdomPoses:
+        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan)."""
+        self.buffer.append(samples)
+        if self._anchor is None or len(samples) == 0:
+            return _no_poses()
+        return self._propagate(int(samples.stamps_ns[-1]))
+
+    def _propagate(self, end_ns: int) -> OdomPoses:
+        if end_ns <= self._live_ns:
+            return _no_poses()
+        anchor = self._anchor
+        assert anchor is not None
+        window = self.buffer.window(self._live_ns, end_ns)
+        states = np.empty((len(window.stamps_ns), 15))
+        states[0] = self._live[0]
+        g = self.robot.gravity_mps2
+        kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, anchor.bias, g, states)
+        offsets = np.empty((len(states), 6))
+        s = self.settings
+        limits = np.array([s.blend_time_s, s.blend_max_radps, s.blend_max_mps])
+        kernels.blend(window.stamps_ns, self._offset, limits, offsets)
+        poses = np.empty((len(states), 12))
+        kernels.emit(states, offsets, self.T_imu_lidar, poses)
+        kernels.steps(states, poses, self.T_imu_lidar, self._worst)
+        self._live, self._live_ns, self._offset = states[-1:].copy(), end_ns, offsets[-1].copy()
+        for stamp_ns, pose in zip(window.stamps_ns[1:], poses[1:], strict=True):
+            self._history.append((int(stamp_ns), pose))
+        while self._history and self._history[0][0] < end_ns - s.history_s * 1e9:
+            self._history.popleft()
+        return _odom_poses(window.stamps_ns[1:], poses[1:], states[1:, 12:])
+
+    @property
+    def jumps(self) -> dict[str, float]:
+        """Largest difference between one increment of T_odom_lidar and the IMU's own propagation over it."""
+        return {"odom_max_m": float(self._worst[0]), "odom_max_deg": float(np.degrees(self._worst[1]))}
+
+    def T_odom_lidar_at(self, stamp_ns: int) -> Array:
+        """The pose (4, 4) that was given out for `stamp_ns`, interpolated between IMU samples."""
+        history = self._history
+        if not history:
+            return np.eye(4)
+        after = len(history) - 1
+        while after > 0 and history[after - 1][0] >= stamp_ns:
+            after -= 1
+        T_after = _matrix(history[after][1])
+        if after == 0 or history[after][0] <= stamp_ns:
+            return T_after
+        (a, before), b = history[after - 1], history[after][0]
+        return se3.interpolate(_matrix(before), T_after, (stamp_ns - a) / (b - a))
+
+    # --- scans ------------------------------------------------------------------------------------------------
+
+    def motion_over(self, start_ns: int, end_ns: int) -> Motion:
+        """The motion of the LiDAR since the previous scan and inside this one, from the newest optimised state."""
+        if self._anchor is None:
+            self._initialise(start_ns, end_ns)
+        anchor = self._anchor
+        assert anchor is not None
+        # a scan may have been answered before the next one is asked for, but the anchor is never newer than that
+        previous_ns = start_ns if self._previous_scan_ns is None else max(self._previous_scan_ns, anchor.stamp_ns)
+        self._previous_scan_ns = start_ns
+        self.buffer.drop_before(min(anchor.stamp_ns, self._live_ns) - int(1e8))
+        window = self.buffer.window(anchor.stamp_ns, end_ns)
+        window = window.at(np.union1d(window.stamps_ns, [previous_ns, start_ns]))
+        stamps, gyro = window.stamps_ns, window.gyro_radps
+        states = np.empty((len(stamps), 15))
+        states[0] = _row(anchor)
+        kernels.integrate(stamps, gyro, window.accel_mps2, anchor.bias, self.robot.gravity_mps2, states)
+        first, here = np.searchsorted(stamps, [previous_ns, start_ns])
+        T_start = self._lidar_pose(states[here])
+        T_prev_lidar = se3.inv(self._lidar_pose(states[first])) @ T_start
+        covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, anchor, (start_ns - anchor.stamp_ns) * 1e-9)
+        R = T_start[:3, :3]
+        lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
+        velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
+        return Motion(
+            T_prev_lidar=T_prev_lidar,
+            covariance=covariance,
+            velocity_lidar_mps=velocity,
+            knots=self._knots(stamps[here:] - start_ns, states[here:], T_start),
+            gravity_lidar=-R[2],
+            gravity_sigma_rad=self._tilt_sigma_rad,
+            velocity_known=self._answers >= 2,
+        )
+
+    def _lidar_pose(self, row: Array) -> Array:
+        return se3.compose(row[:9].reshape(3, 3), row[9:12]) @ self.T_imu_lidar
+
+    def _knots(self, offsets_ns: NDArray[np.int64], states: Array, T_start: Array) -> Knots:
+        rotation, translation = np.zeros((len(states), 3)), np.zeros((len(states), 3))
+        back = se3.inv(T_start)
+        for k in range(1, len(states)):
+            T = back @ self._lidar_pose(states[k])
+            rotation[k], translation[k] = se3.so3_log(T[:3, :3]), T[:3, 3]
+        return Knots(offsets_ns.astype(np.int64), rotation, translation)
+
+    def _motion_covariance(self, interval_s: float, anchor: NavigationState, age_s: float) -> Array:
+        noise = self._noise()
+        s = self.settings
+        rotation = noise.gyro_radps_rthz**2 * interval_s + (0.1 * s.prior_bias_gyro_radps * interval_s) ** 2
+        velocity = anchor.velocity_sigma_mps**2 + noise.accel_mps2_rthz**2 * max(age_s, interval_s)
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = np.eye(3) * max(rotation, 1e-8)
+        covariance[3:, 3:] = np.eye(3) * max(velocity * interval_s**2, 1e-8)
+        return covariance
+
+    def _noise(self) -> ImuNoise:
+        imu = self.robot.imu
+        assert imu is not None
+        gyro, accel = self.buffer.noise_densities()
+        return ImuNoise(
+            max(gyro, imu.gyro_noise_radps_rthz),
+            max(accel, imu.accel_noise_mps2_rthz),
+            imu.gyro_walk_radps2_rthz,
+            imu.accel_walk_mps3_rthz,
+        )
+
+    def _initialise(self, start_ns: int, end_ns: int) -> None:
+        """Level the robot by what the accelerometer says so far; nothing is assumed of its velocity."""
+        window = self.buffer.window(min(start_ns, self.buffer.last_ns), end_ns)
+        accel, gyro = window.accel_mps2.mean(axis=0), window.gyro_radps.mean(axis=0)
+        g = self.robot.gravity_mps2
+        spread = float(np.linalg.norm(window.accel_mps2.std(axis=0)))
+        still = len(window.stamps_ns) >= 20 and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
+        excess = abs(float(np.linalg.norm(accel)) - g) / g
+        self._tilt_sigma_rad = max(0.01, excess) if still else 0.1
+        up_lidar = self.T_lidar_imu[:3, :3] @ accel
+        T_odom_lidar = se3.compose(se3.level_rotation(up_lidar), np.zeros(3))
+        bias = np.zeros(6)
+        if still:
+            bias[:3] = 0.0
+        T_odom_imu = T_odom_lidar @ self.T_lidar_imu
+        self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, self.settings.prior_velocity_mps)
+        self._live, self._live_ns = _row(self._anchor)[None], start_ns
+        self._history.append((start_ns, T_odom_lidar[:3].reshape(-1).copy()))
+        if self.buffer.last_ns > start_ns:
+            self._propagate(self.buffer.last_ns)
+
+    # --- answers ----------------------------------------------------------------------------------------------
+
+    def on_odometry(self, reply: OdometryReply) -> None:
+        """Takes the map service's answer to a scan; late or rejected ones change nothing."""
+        anchor = self._anchor
+        if anchor is None or reply.rejected:
+            return
+        if self._started and reply.stamp_ns <= anchor.stamp_ns:
+            return
+        T_odom_lidar = self.T_odom_lidar_at(reply.stamp_ns)
+        T_server_imu = se3.inv(reply.T_map_odom) @ reply.T_map_lidar @ self.T_lidar_imu
+        if not self._started:
+            self._start_graph(reply.stamp_ns, T_server_imu)
+        else:
+            window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
+            self.graph.add(reply.stamp_ns, T_server_imu, window, self._noise(), reply.degenerate)
+            if self.graph.failed:
+                self.resets += 1
+                self._started = False
+                self._answers = 0
+                self._restart(reply.stamp_ns, anchor, T_server_imu)
+        self._answers += 1
+        self._take(self.graph.state)
+        self.T_map_odom = reply.T_map_lidar @ se3.inv(T_odom_lidar)
+        self.covariance, self.state = reply.covariance, reply.state
+
+    def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
+        anchor = self._anchor
+        assert anchor is not None
+        state = NavigationState(
+            stamp_ns, anchor.T_odom_imu, anchor.velocity_mps, anchor.bias, self.settings.prior_velocity_mps
+        )
+        self.graph.start(state, T_server_imu, self._tilt_sigma_rad)
+        self._started = True
+
+    def _restart(self, stamp_ns: int, anchor: NavigationState, T_server_imu: Array) -> None:
+        """After a failure: where the output says the robot is, velocity unknown, biases forgotten."""
+        T_odom_imu = self.T_odom_lidar_at(stamp_ns) @ self.T_lidar_imu
+        self._anchor = NavigationState(stamp_ns, T_odom_imu, np.zeros(3), np.zeros(6), self.settings.prior_velocity_mps)
+        self._start_graph(stamp_ns, T_server_imu)
+
+    def _take(self, state: NavigationState) -> None:
+        """Makes `state` the anchor and carries the output over without a step."""
+        before = np.empty((1, 12))
+        kernels.emit(self._live, self._offset[None], self.T_imu_lidar, before)
+        self._anchor = state
+        if self._live_ns > state.stamp_ns:
+            window = self.buffer.window(state.stamp_ns, self._live_ns)
+            states = np.empty((len(window.stamps_ns), 15))
+            states[0] = _row(state)
+            g = self.robot.gravity_mps2
+            kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
+            self._live = states[-1:].copy()
+        else:
+            self._live, self._live_ns = _row(state)[None], state.stamp_ns
+        T_live = se3.compose(self._live[0, :9].reshape(3, 3), self._live[0, 9:12])
+        E = se3.inv(T_live) @ _matrix(before[0]) @ self.T_lidar_imu
+        self._offset = np.concatenate([se3.so3_log(E[:3, :3]), E[:3, 3]])
+
+
+def _row(state: NavigationState) -> Array:
+    return np.concatenate([state.T_odom_imu[:3, :3].reshape(-1), state.T_odom_imu[:3, 3], state.velocity_mps])
+
+
+def _matrix(pose: Array) -> Array:
+    T = np.eye(4)
+    T[:3] = pose.reshape(3, 4)
+    return T
+
+
+def _no_poses() -> OdomPoses:
+    return OdomPoses(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)))
+
+
+def _odom_poses(stamps_ns: NDArray[np.int64], poses: Array, velocities_mps: Array) -> OdomPoses:
+    matrices = poses.reshape(-1, 3, 4)
+    quats = np.stack([se3.quat_from_matrix(m[:, :3]) for m in matrices]) if len(matrices) else np.empty((0, 4))
+    return OdomPoses(stamps_ns, matrices[:, :, 3].copy(), quats, velocities_mps.copy())

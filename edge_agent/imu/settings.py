@@ -1,0 +1,25 @@
+"""Settings of the Imu node."""
+
+from __future__ import annotations
+
+from splitslam.config import Model
+
+
+class ImuSettings(Model):
+    """Defaults follow LIO-SAM where it has them; the noise figures are the robot file's, raised to what is seen."""
+
+    reset_keys: int = 100
+    prior_bias_accel_mps2: float = 0.1
+    prior_bias_gyro_radps: float = 0.01
+    prior_velocity_mps: float = 10.0
+    lidar_rotation_rad: float = 0.003
+    lidar_translation_m: float = 0.01
+    degenerate_rotation_rad: float = 0.3
+    degenerate_translation_m: float = 1.0
+    max_velocity_mps: float = 80.0
+    max_bias_accel_mps2: float = 2.0
+    max_bias_gyro_radps: float = 1.0
+    blend_time_s: float = 0.3
+    blend_max_mps: float = 0.1
+    blend_max_radps: float = 0.05
+    history_s: float = 10.0

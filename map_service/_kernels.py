@@ -1,0 +1,300 @@
+"""Kernels of the local map and the registration.
+
+The voxel map is one open-addressing hash table for all levels. Row layout:
+  keys    (C,) int64: level << 60 | ix << 40 | iy << 20 | iz, biased by 2^19; -1: free.
+  moments (C, 10) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre.
+  geometry (C, 10) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind.
+Kind: 0 none, 1 plane, 2 line. C is a power of two.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+FASTMATH = {"contract", "arcp", "nsz"}
+BIAS = 1 << 19
+MASK = (1 << 20) - 1
+PLANE = 1.0
+LINE = 2.0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def pack(level, ix, iy, iz):
+    """Key of a voxel; indices wrap at +-2^19 voxels (262 km at 0.5 m)."""
+    return (level << 60) | (((ix + BIAS) & MASK) << 40) | (((iy + BIAS) & MASK) << 20) | ((iz + BIAS) & MASK)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def slot_of(keys, key):
+    """First slot that holds `key` or is free (linear probing, Fibonacci hashing)."""
+    mask = np.uint64(len(keys) - 1)
+    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    i = (h >> np.uint64(32)) & mask
+    while keys[i] != -1 and keys[i] != key:
+        i = (i + np.uint64(1)) & mask
+    return np.int64(i)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def insert(keys, moments, points, voxel_m, levels, touched):
+    """Adds points (N, 3) to every level; fills `touched` (>= N * levels) with their slots, returns how many.
+
+    A slot may be listed more than once; the caller guarantees room for N * levels new voxels.
+    """
+    count = 0
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        size = voxel_m
+        for level in range(levels):
+            ix, iy, iz = math.floor(x / size), math.floor(y / size), math.floor(z / size)
+            key = pack(level, np.int64(ix), np.int64(iy), np.int64(iz))
+            i = slot_of(keys, key)
+            if keys[i] == -1:
+                keys[i] = key
+            dx, dy, dz = x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size
+            m = moments[i]
+            m[0] += 1.0
+            m[1] += dx
+            m[2] += dy
+            m[3] += dz
+            m[4] += dx * dx
+            m[5] += dx * dy
+            m[6] += dx * dz
+            m[7] += dy * dy
+            m[8] += dy * dz
+            m[9] += dz * dz
+            touched[count] = i
+            count += 1
+            size *= 2.0
+    return count
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def eigen_symmetric(A, V):
+    """Jacobi eigen-decomposition of a symmetric (3, 3); A becomes diagonal, columns of V the eigenvectors."""
+    for r in range(3):
+        for c in range(3):
+            V[r, c] = 1.0 if r == c else 0.0
+    for _ in range(12):
+        off = A[0, 1] * A[0, 1] + A[0, 2] * A[0, 2] + A[1, 2] * A[1, 2]
+        if off <= 1e-22 * (A[0, 0] * A[0, 0] + A[1, 1] * A[1, 1] + A[2, 2] * A[2, 2]) + 1e-40:
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if A[p, q] == 0.0:
+                    continue
+                theta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / math.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(3):
+                    a, b = A[k, p], A[k, q]
+                    A[k, p], A[k, q] = c * a - s * b, s * a + c * b
+                for k in range(3):
+                    a, b = A[p, k], A[q, k]
+                    A[p, k], A[q, k] = c * a - s * b, s * a + c * b
+                for k in range(3):
+                    a, b = V[k, p], V[k, q]
+                    V[k, p], V[k, q] = c * a - s * b, s * a + c * b
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def fit(keys, moments, geometry, touched, voxel_m, kind, limits):
+    """Refits plane or line of every slot in `touched`.
+
+    limits: (4,) n_min, largest sigma of the thin directions (m), smallest sigma of the wide ones as a share of
+    the voxel's size, largest ratio thin/wide sigma. Plane: one thin, two wide; line: two thin, one wide.
+    """
+    A = np.empty((3, 3))
+    V = np.empty((3, 3))
+    for j in range(len(touched)):
+        i = touched[j]
+        m = moments[i]
+        g = geometry[i]
+        n = m[0]
+        g[9] = 0.0
+        if n < limits[0]:
+            continue
+        key = keys[i]
+        size = voxel_m * (1 << (key >> 60))
+        mx, my, mz = m[1] / n, m[2] / n, m[3] / n
+        A[0, 0] = m[4] / n - mx * mx
+        A[0, 1] = A[1, 0] = m[5] / n - mx * my
+        A[0, 2] = A[2, 0] = m[6] / n - mx * mz
+        A[1, 1] = m[7] / n - my * my
+        A[1, 2] = A[2, 1] = m[8] / n - my * mz
+        A[2, 2] = m[9] / n - mz * mz
+        eigen_symmetric(A, V)
+        lo, hi = 0, 0
+        for a in range(1, 3):
+            if A[a, a] < A[lo, lo]:
+                lo = a
+            if A[a, a] >= A[hi, hi]:
+                hi = a
+        if lo == hi:
+            continue
+        mid = 3 - lo - hi
+        l_min, l_mid, l_max = max(A[lo, lo], 0.0), max(A[mid, mid], 0.0), max(A[hi, hi], 0.0)
+        thin, wide, axis = (l_min, l_mid, lo) if kind == PLANE else (l_mid, l_max, hi)
+        if thin > limits[1] * limits[1] or thin > limits[3] * limits[3] * wide:
+            continue
+        if wide < (limits[2] * size) ** 2:
+            continue
+        g[0] = mx + ((((key >> 40) & MASK) - BIAS) + 0.5) * size
+        g[1] = my + ((((key >> 20) & MASK) - BIAS) + 0.5) * size
+        g[2] = mz + (((key & MASK) - BIAS) + 0.5) * size
+        g[3], g[4], g[5] = V[0, axis], V[1, axis], V[2, axis]
+        g[6], g[7], g[8] = l_min, l_mid, l_max
+        g[9] = kind
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def match(keys, geometry, points, voxel_m, levels, gate_m, slots):
+    """Finds for each point (N, 3), frame of the map, the finest voxel with a fit: its own, else the nearest face's.
+
+    slots: (N,) int64 out, -1 without a match. A match is refused when the point is further than gate_m from the
+    plane or line, or further than 3 sigma + gate along it (the fit says nothing there).
+    """
+    found = 0
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        slots[k] = -1
+        size = voxel_m
+        for level in range(levels):
+            fx, fy, fz = x / size, y / size, z / size
+            ix, iy, iz = np.int64(math.floor(fx)), np.int64(math.floor(fy)), np.int64(math.floor(fz))
+            best = gate_m
+            for side in range(4):
+                jx, jy, jz = ix, iy, iz
+                if side == 1:
+                    jx += 1 if fx - ix > 0.5 else -1
+                elif side == 2:
+                    jy += 1 if fy - iy > 0.5 else -1
+                elif side == 3:
+                    jz += 1 if fz - iz > 0.5 else -1
+                i = slot_of(keys, pack(level, jx, jy, jz))
+                if keys[i] == -1 or geometry[i, 9] == 0.0:
+                    continue
+                g = geometry[i]
+                dx, dy, dz = x - g[0], y - g[1], z - g[2]
+                along = dx * g[3] + dy * g[4] + dz * g[5]
+                square = dx * dx + dy * dy + dz * dz
+                if g[9] == PLANE:
+                    distance = abs(along)
+                    if square - along * along > 9.0 * (g[7] + g[8]) + 0.01:
+                        continue
+                else:
+                    distance = math.sqrt(max(square - along * along, 0.0))
+                    if along * along > 9.0 * g[8] + 0.01:
+                        continue
+                if distance < best:
+                    best = distance
+                    slots[k] = i
+                if side == 0 and slots[k] >= 0:
+                    break
+            if slots[k] >= 0:
+                found += 1
+                break
+            size *= 2.0
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def linearise(geometry, moments, points_lidar, T, slots, noise, H, b):
+    """Adds the weighted normal equations of equation 3 to H (6, 6), b (6,); returns (cost, inliers, sum r^2).
+
+    Right perturbation T exp(xi), xi = rotation first: d(R p + t) = -R [p]x w + R v. The weight is the inverse
+    variance of the residual (the fit's own thickness + the sensor's noise[0]^2 + the fit's uncertainty) times
+    Cauchy's robust weight with scale noise[1].
+    """
+    cost = 0.0
+    inliers = 0
+    squares = 0.0
+    J = np.empty(6)
+    for k in range(len(points_lidar)):
+        i = slots[k]
+        if i < 0:
+            continue
+        g = geometry[i]
+        n = moments[i, 0]
+        px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
+        dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - g[0]
+        dy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - g[1]
+        dz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3] - g[2]
+        along = dx * g[3] + dy * g[4] + dz * g[5]
+        if g[9] == PLANE:
+            inplane = max(dx * dx + dy * dy + dz * dz - along * along, 0.0)
+            variance = g[6] + noise[0] * noise[0]
+            variance *= 1.0 + (1.0 + inplane / (g[7] + 1e-4)) / n
+            whitened = along * along / variance
+            robust = 1.0 / (1.0 + whitened / (noise[1] * noise[1]))
+            cost += noise[1] * noise[1] * math.log1p(whitened / (noise[1] * noise[1]))
+            weight = robust / variance
+            rows = 1
+            nx, ny, nz = g[3], g[4], g[5]
+            residual = along
+        else:
+            ex, ey, ez = dx - along * g[3], dy - along * g[4], dz - along * g[5]
+            distance = math.sqrt(ex * ex + ey * ey + ez * ez)
+            variance = g[7] + noise[0] * noise[0]
+            variance *= 1.0 + (1.0 + along * along / (g[8] + 1e-4)) / n
+            whitened = distance * distance / variance
+            robust = 1.0 / (1.0 + whitened / (noise[1] * noise[1]))
+            cost += noise[1] * noise[1] * math.log1p(whitened / (noise[1] * noise[1]))
+            weight = robust / variance
+            # the second direction across the line carries no residual, but information
+            rows = 2
+            if distance > 1e-9:
+                nx, ny, nz = ex / distance, ey / distance, ez / distance
+            elif abs(g[5]) < 0.9:
+                length = math.sqrt(g[3] * g[3] + g[4] * g[4])
+                nx, ny, nz = -g[4] / length, g[3] / length, 0.0
+            else:
+                length = math.sqrt(g[4] * g[4] + g[5] * g[5])
+                nx, ny, nz = 0.0, -g[5] / length, g[4] / length
+            residual = distance
+        if whitened < 9.0:
+            inliers += 1
+            squares += whitened
+        for row in range(rows):
+            if row == 1:
+                nx, ny, nz = g[4] * nz - g[5] * ny, g[5] * nx - g[3] * nz, g[3] * ny - g[4] * nx
+                residual = 0.0
+            # a = R^T n; rotation part p x a
+            ax = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
+            ay = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
+            az = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
+            J[0] = py * az - pz * ay
+            J[1] = pz * ax - px * az
+            J[2] = px * ay - py * ax
+            J[3], J[4], J[5] = ax, ay, az
+            for r in range(6):
+                s = weight * J[r]
+                b[r] -= s * residual
+                for c in range(r, 6):
+                    H[r, c] += s * J[c]
+    return cost, inliers, squares
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def transform(T, points, out):
+    """out (N, 3) = T (4, 4) applied to points (N, 3)."""
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        out[k, 0] = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        out[k, 1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        out[k, 2] = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+
+
+@njit(cache=True, nogil=True)
+def rehash(keys, live, slots):
+    """Puts the keys `live` (M,) into the empty table `keys`; slots (M,) out says where."""
+    for k in range(len(live)):
+        i = slot_of(keys, live[k])
+        keys[i] = live[k]
+        slots[k] = i

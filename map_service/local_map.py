@@ -1,0 +1,98 @@
+"""The local map: corners as lines and surfs as planes, in voxels of several sizes, filled as keyframes come.
+
+Each voxel keeps the moments of the points in it and their fitted plane or line, so that a scan is matched by
+look-up alone and a fit gets better with every keyframe that sees it. Sparse areas, where a small voxel holds too
+few points for a fit, are covered by the coarser levels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from map_service import _kernels as kernels
+from map_service.settings import LocalMapSettings, VoxelSettings
+
+
+class VoxelMap:
+    """A hash map of voxels with one kind of fit (planes or lines)."""
+
+    def __init__(self, settings: VoxelSettings, kind: float) -> None:
+        self.settings = settings
+        self.kind = kind
+        self.limits = np.array(
+            [settings.min_points, settings.max_thickness_m, settings.min_extent_share, settings.max_thickness_ratio]
+        )
+        self._allocate(1 << 14)
+
+    def _allocate(self, capacity: int) -> None:
+        self.keys = np.full(capacity, -1, np.int64)
+        self.moments = np.zeros((capacity, 10))
+        self.geometry = np.zeros((capacity, 10))
+        self.used = 0
+
+    def clear(self) -> None:
+        """Forgets everything, keeps the memory."""
+        self.keys.fill(-1)
+        self.moments.fill(0.0)
+        self.geometry.fill(0.0)
+        self.used = 0
+
+    def insert(self, points: NDArray[np.float64]) -> None:
+        """Adds points (N, 3), m, frame of the map, and refits what they touched."""
+        s = self.settings
+        room = self.used + len(points) * s.levels
+        if 2 * room > len(self.keys):
+            self._grow(room)
+        touched = np.empty(len(points) * s.levels, np.int64)
+        count = kernels.insert(self.keys, self.moments, points, s.voxel_m, s.levels, touched)
+        touched = np.unique(touched[:count])
+        self.used += int(np.count_nonzero(self.geometry[touched, 9] == 0.0))  # upper bound of new voxels
+        kernels.fit(self.keys, self.moments, self.geometry, touched, s.voxel_m, self.kind, self.limits)
+
+    def _grow(self, room: int) -> None:
+        keys, moments, geometry = self.keys, self.moments, self.geometry
+        live = np.flatnonzero(keys != -1)
+        capacity = len(keys)
+        while capacity < 2 * (room - self.used + len(live)):
+            capacity *= 2
+        self._allocate(capacity)
+        slots = np.empty(len(live), np.int64)
+        kernels.rehash(self.keys, keys[live], slots)
+        self.moments[slots], self.geometry[slots] = moments[live], geometry[live]
+        self.used = len(live)
+
+    def match(self, points: NDArray[np.float64], gate_m: float, slots: NDArray[np.int64]) -> int:
+        """Slots (N,) of the fits that points (N, 3) belong to, -1 for none; returns how many matched."""
+        s = self.settings
+        return kernels.match(self.keys, self.geometry, points, s.voxel_m, s.levels, gate_m, slots)
+
+
+class LocalMap:
+    """Corner and surf maps in one frame, `local`; see MapPipeline for how `local` relates to `map`."""
+
+    def __init__(self, settings: LocalMapSettings) -> None:
+        self.settings = settings
+        self.corners = VoxelMap(settings.corners, kernels.LINE)
+        self.surfs = VoxelMap(settings.surfs, kernels.PLANE)
+        self.keyframes: set[int] = set()
+
+    def clear(self) -> None:
+        """Empties both maps."""
+        self.corners.clear()
+        self.surfs.clear()
+        self.keyframes.clear()
+
+    def insert(
+        self,
+        index: int,
+        T_local_lidar: NDArray[np.float64],
+        corners_lidar: NDArray[np.float32],
+        surfs_lidar: NDArray[np.float32],
+    ) -> None:
+        """Adds keyframe `index`: its points (N, 3) float32, frame `lidar`, at its pose (4, 4)."""
+        for voxels, points_lidar in ((self.corners, corners_lidar), (self.surfs, surfs_lidar)):
+            points_local = np.empty((len(points_lidar), 3))
+            kernels.transform(T_local_lidar, points_lidar, points_local)
+            voxels.insert(points_local)
+        self.keyframes.add(index)

@@ -1,0 +1,159 @@
+"""What a session hands to its store, and how it is made again from there."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from map_service.cloud import decode_cloud, encode_cloud
+from map_service.graph import PoseGraph
+from map_service.keyframes import Keyframe
+from map_service.tracker import TrackerState
+from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot
+from splitslam import se3
+
+if TYPE_CHECKING:
+    from map_service.pipeline import MapPipeline
+
+Array = NDArray[np.float64]
+_VERSION = 1
+_MOVED = 1e-6
+
+
+class CommitLog:
+    """Collects what is new since the last commit."""
+
+    def __init__(self) -> None:
+        self.last_seq = 0
+        self._frames: list[FrameRecord] = []
+        self._keyframes: list[KeyframeRecord] = []
+        self._factors = 0
+        self._stored: list[Array] = []  # keyframe poses as the store has them
+        self._first_ns = 0
+
+    def frame(self, answer: MapAnswer, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
+        """Notes an answered frame; `keyframe` is the newest one."""
+        record = FrameRecord(
+            answer.seq,
+            answer.stamp_ns,
+            keyframe,
+            se3.inv(T_map_keyframe) @ answer.T_map_lidar,
+            answer.T_map_lidar,
+            int(answer.state),
+        )
+        if not self._frames:
+            self._first_ns = answer.stamp_ns
+        self._frames.append(record)
+        return record
+
+    def keyframe(self, keyframe: Keyframe, T_map_lidar: Array) -> None:
+        """Notes a keyframe that is new, or new again (the store replaces it)."""
+        cloud = encode_cloud(
+            keyframe.corners_lidar, keyframe.surfs_lidar, keyframe.corners_intensity, keyframe.surfs_intensity
+        )
+        self._keyframes.append(KeyframeRecord(keyframe.index, keyframe.seq, keyframe.stamp_ns, T_map_lidar, cloud))
+        if keyframe.index == len(self._stored):
+            self._stored.append(T_map_lidar)
+
+    def due(self, frames: int, seconds: float) -> bool:
+        """Is it time to commit?"""
+        if not self._frames:
+            return False
+        age_s = (self._frames[-1].stamp_ns - self._first_ns) * 1e-9
+        return bool(self._keyframes) or len(self._frames) >= frames or age_s >= seconds
+
+    def take(self, graph: PoseGraph, tracker: bytes) -> Commit:
+        """Hands over everything new and starts again."""
+        moved = []
+        for i, (stored, now) in enumerate(zip(self._stored, graph.poses, strict=True)):
+            if np.abs(stored - now).max() > _MOVED:
+                moved.append((i, now))
+                self._stored[i] = now
+        last_seq = self._frames[-1].seq if self._frames else self.last_seq
+        commit = Commit(
+            self.last_seq, last_seq, self._frames, self._keyframes, graph.records[self._factors :], moved, tracker
+        )
+        self.last_seq, self._factors = last_seq, len(graph.records)
+        self._frames, self._keyframes = [], []
+        return commit
+
+    def resume(self, snapshot: Snapshot, poses: list[Array]) -> None:
+        """Continues after what the store has."""
+        self.last_seq, self._factors = snapshot.last_seq, len(snapshot.factors)
+        self._stored = [k.T_map_lidar for k in snapshot.keyframes]
+
+
+def dump(pipeline: MapPipeline) -> bytes:
+    """The pipeline's small state, versioned JSON."""
+    state = pipeline.tracker.state
+    if state is None:
+        return json.dumps({"v": _VERSION, "empty": True}).encode()
+    return json.dumps(
+        {
+            "v": _VERSION,
+            "T_local_lidar": state.T_local_lidar.tolist(),
+            "T_local_keyframe": state.T_local_keyframe.tolist(),
+            "stamp_ns": state.stamp_ns,
+            "frames": state.frames,
+            "delta_velocity_mps": state.delta_velocity_mps.tolist(),
+            "bad_frames": state.bad_frames,
+            "T_map_local": pipeline.T_map_local.tolist(),
+            "T_map_odom": pipeline.T_map_odom.tolist(),
+            "gnss": None if pipeline.gnss is None else pipeline.gnss.dump(),
+            "loops": pipeline.stats.loops,
+            "gnss_factors": pipeline.stats.gnss_factors,
+            "corrections": pipeline.stats.corrections,
+            "largest_correction_m": pipeline.stats.largest_correction_m,
+            "last_loop_keyframe": -1 if pipeline.closer is None else pipeline.closer.last_used,
+        }
+    ).encode()
+
+
+def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
+    """Puts a stored session into a fresh pipeline."""
+    data = json.loads(snapshot.tracker)
+    if data["v"] != _VERSION:
+        raise ValueError(f"tracker state of version {data['v']}, expected {_VERSION}")
+    if data.get("empty"):
+        return
+    poses = [k.T_map_lidar for k in snapshot.keyframes]
+    pipeline.graph = PoseGraph.restore(pipeline.settings.graph, list(snapshot.factors), poses)
+    pipeline.T_map_local = np.array(data["T_map_local"])
+    pipeline.T_map_odom = np.array(data["T_map_odom"])
+    back = se3.inv(pipeline.T_map_local)
+    for record in snapshot.keyframes:
+        points, intensity, is_corner = decode_cloud(record.cloud)
+        pipeline.keyframes.append(
+            Keyframe(
+                record.index,
+                record.seq,
+                record.stamp_ns,
+                back @ pipeline.graph.poses[record.index],
+                points[is_corner],
+                points[~is_corner],
+                intensity[is_corner],
+                intensity[~is_corner],
+            )
+        )
+    pipeline.tracker.state = TrackerState(
+        np.array(data["T_local_lidar"]),
+        np.array(data["T_local_keyframe"]),
+        int(data["stamp_ns"]),
+        int(data["frames"]),
+        np.array(data["delta_velocity_mps"]),
+        int(data["bad_frames"]),
+    )
+    if pipeline.gnss is not None and data["gnss"] is not None:
+        pipeline.gnss.load(data["gnss"])
+    if pipeline.closer is not None:
+        pipeline.closer.last_used = int(data["last_loop_keyframe"])
+    pipeline.stats.loops = int(data["loops"])
+    pipeline.stats.gnss_factors = int(data["gnss_factors"])
+    pipeline.stats.corrections = dict(data["corrections"])
+    pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
+    pipeline.frames = list(snapshot.frames)
+    pipeline.log.resume(snapshot, poses)
+    pipeline.fill_local_map()

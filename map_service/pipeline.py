@@ -1,0 +1,248 @@
+"""The paper's Map node, one instance = one session, single writer, no threads, no RPC.
+
+frame -> registration against the local map (eq. 3) -> keyframe -> factor graph: LiDAR odometry, GNSS, loop closures
+-> corrected keyframes -> answer. Two frames make corrections harmless to what runs: the tracker lives in `local`,
+and T_map_local takes every correction, until the map has bent too much and the local map is built again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from map_service import persistence
+from map_service.closing import LoopCloser
+from map_service.gnss import GnssGate
+from map_service.graph import PoseGraph
+from map_service.keyframes import Keyframes
+from map_service.loops import LoopVerifier
+from map_service.settings import PipelineSettings
+from map_service.statistics import SessionStatistics
+from map_service.tracker import Track, Tracker
+from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
+from splitslam import se3
+from splitslam.features import FeatureFrame
+from splitslam.robot import Robot
+from splitslam.scan import GnssFix
+
+Array = NDArray[np.float64]
+
+
+class MapPipeline:
+    """Everything one session knows. `disable` holds "loops", "gnss", "imu"; `deskew` is the edge's back end."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        settings: PipelineSettings,
+        verifier: LoopVerifier,
+        disable: frozenset[str] = frozenset(),
+        deskew: str = "cpu",
+    ) -> None:
+        self.robot, self.settings = robot, settings
+        self.tracker = Tracker(settings.tracker, redeskew=deskew not in ("off", "rotation"))
+        self.graph = PoseGraph(settings.graph)
+        self.keyframes = Keyframes()
+        self.gnss = None if "gnss" in disable or robot.gnss is None else GnssGate(settings.gnss)
+        self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
+        self.T_map_local = np.eye(4)
+        self.T_map_odom = np.eye(4)
+        self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
+        self.frames: list[FrameRecord] = []
+        self.stats = SessionStatistics()
+        self.log = persistence.CommitLog()
+
+    def process(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:
+        """Maps one frame; frames come once and in order."""
+        started = time.perf_counter(), time.thread_time()
+        before = self.tracker.state
+        track = self.tracker.process(frame)
+        registered = time.perf_counter(), time.thread_time()
+        if track.first_again is not None:
+            self.keyframes.replace_first(*track.first_again)
+            self.log.keyframe(self.keyframes[0], self.graph.poses[0])
+        cause = self._add_keyframe(frame, track) if track.keyframe else None
+        cause = self._add_fixes(frame, fixes, track, before) or cause
+        cause = self._apply_loops(frame.seq) or cause
+        correction = self._correct(cause) if cause else None
+        answer = self._answer(frame, track, correction, started, registered)
+        self.frames.append(self.log.frame(answer, len(self.keyframes) - 1, self.graph.poses[-1]))
+        return answer
+
+    # --- graph ------------------------------------------------------------------------------------------------
+
+    def _add_keyframe(self, frame: FeatureFrame, track: Track) -> None:
+        T_map_lidar = self.T_map_local @ track.T_local_lidar
+        index = len(self.keyframes)
+        if track.registration is None:
+            self.graph.add_first(T_map_lidar)
+        else:
+            motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
+            self.graph.add_odometry(T_map_lidar, motion, self._odometry_covariance(track, motion))
+        self.keyframes.add(frame, track)
+        self.tracker.insert(index, track.T_local_lidar, track.corners_lidar, track.surfs_lidar)
+        self.graph.optimise(corrected=False)
+        self.log.keyframe(self.keyframes[index], T_map_lidar)
+        if self.closer is not None:
+            self.closer.look(frame.seq, self.keyframes, self.graph.poses)
+        if np.linalg.norm(track.T_local_lidar[:3, 3] - self.built_at_m) > self.settings.tracker.local_map.rebuild_distance_m:
+            self._rebuild()
+
+    def _odometry_covariance(self, track: Track, motion: Array) -> Array:
+        s = self.settings.graph
+        assert track.registration is not None
+        translation = s.odometry_translation_m + s.odometry_translation_share * float(np.linalg.norm(motion[:3, 3]))
+        floor = np.diag(np.repeat([s.odometry_rotation_rad**2, translation**2], 3))
+        return track.registration.covariance + floor
+
+    def _add_fixes(self, frame: FeatureFrame, fixes: Sequence[GnssFix], track: Track, before) -> Cause | None:
+        if self.gnss is None or self.robot.gnss is None or before is None:
+            return None
+        antenna = np.asarray(self.robot.gnss.t_lidar_antenna_m, float)
+        T_map_keyframe = self.graph.poses[-1]
+        added = False
+        for fix in fixes:
+            ratio = (fix.stamp_ns - before.stamp_ns) / (frame.stamp_ns - before.stamp_ns)
+            if not -2.0 <= ratio <= 3.0:  # further off than the motion of one scan can carry a pose
+                self.gnss.reject("late")
+                continue
+            T_local = se3.interpolate(before.T_local_lidar, track.T_local_lidar, ratio)
+            T_keyframe = se3.inv(self.keyframes.T_local(len(self.keyframes) - 1)) @ T_local
+            antenna_keyframe = T_keyframe[:3, :3] @ antenna + T_keyframe[:3, 3]
+            antenna_map = T_map_keyframe[:3, :3] @ antenna_keyframe + T_map_keyframe[:3, 3]
+            measurement = self.gnss.offer(fix, antenna_map, self.graph.T_enu_map)
+            if measurement is None:
+                continue
+            m = measurement
+            self.graph.add_gnss(len(self.keyframes) - 1, antenna_keyframe, m.enu_m, m.sigmas_m, m.T_enu_map)
+            self.stats.gnss_factors += 1
+            added = True
+        return Cause.GNSS if added else None
+
+    def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
+        if self.closer is None:
+            return None
+        results = self.closer.due(seq, everything)
+        s = self.settings.loops
+        for result in results:
+            self.graph.add_loop(
+                result.older, result.newer, result.T_older_newer, (s.rotation_sigma_rad, s.translation_sigma_m)
+            )
+            self.stats.loops += 1
+        return Cause.LOOP if results else None
+
+    def _correct(self, cause: Cause) -> CorrectionRecord | None:
+        """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
+        self.graph.optimise(corrected=True)
+        last = len(self.keyframes) - 1
+        T_before = self.T_map_local @ self.keyframes.T_local(last)
+        delta = self.graph.poses[last] @ se3.inv(T_before)
+        T_map_local = se3.orthonormalised(delta @ self.T_map_local)
+        moved = se3.inv(T_before) @ self.graph.poses[last]
+        self.T_map_local = T_map_local
+        self.T_map_odom = se3.orthonormalised(delta @ self.T_map_odom)
+        s = self.settings.graph
+        if self._bent():
+            self._rebuild()
+        correction = CorrectionRecord(cause, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
+        if correction.translation_m < s.report_m and correction.rotation_rad < s.report_rad:
+            return None
+        self.stats.correction(correction)
+        return correction
+
+    def _bent(self) -> bool:
+        """Do the corrected keyframes no longer lie where the local map has their points?"""
+        s = self.settings.graph
+        back = se3.inv(self.T_map_local)
+        for i in self.tracker.local_map.keyframes:
+            off = se3.inv(self.keyframes.T_local(i)) @ back @ self.graph.poses[i]
+            if np.linalg.norm(off[:3, 3]) > s.rebuild_m or se3.angle(off) > s.rebuild_rad:
+                return True
+        return False
+
+    def _rebuild(self) -> None:
+        """The local map anew, from the corrected keyframes around the robot; `local` becomes `map`."""
+        state = self.tracker.state
+        assert state is not None
+        self.tracker.move(self.T_map_local)
+        self.T_map_local = np.eye(4)
+        self.keyframes.move(self.graph.poses)
+        self.fill_local_map()
+
+    def fill_local_map(self) -> None:
+        """Inserts every keyframe within the radius of the robot into an empty local map."""
+        state = self.tracker.state
+        assert state is not None
+        centre = state.T_local_lidar[:3, 3]
+        self.built_at_m = centre.copy()
+        self.tracker.local_map.clear()
+        for i in self.keyframes.within(centre, self.settings.tracker.local_map.radius_m):
+            k = self.keyframes[i]
+            self.tracker.insert(i, k.T_local_lidar, k.corners_lidar, k.surfs_lidar)
+
+    # --- answers ----------------------------------------------------------------------------------------------
+
+    def _answer(self, frame: FeatureFrame, track: Track, correction: CorrectionRecord | None, started, registered) -> MapAnswer:
+        ended = time.perf_counter(), time.thread_time()
+        state = self.tracker.state  # a rebuild may have moved the tracker
+        assert state is not None
+        r = track.registration
+        self.stats.frame(track, started, registered, ended)
+        return MapAnswer(
+            seq=frame.seq,
+            stamp_ns=frame.stamp_ns,
+            T_map_lidar=self.T_map_local @ state.T_local_lidar,
+            T_map_odom=self.T_map_odom,
+            covariance=np.eye(6) * 1e-6 if r is None else r.covariance,
+            state=track.state,
+            degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
+            correction=correction,
+            keyframe=track.keyframe,
+            registration_ms=(registered[0] - started[0]) * 1e3,
+            graph_ms=(ended[0] - registered[0]) * 1e3,
+        )
+
+    def finish(self) -> None:
+        """End of the session: loops still under verification are waited for and applied."""
+        if self.graph.poses and (cause := self._apply_loops(0, everything=True)):
+            self._correct(cause)
+
+    def trajectory(self) -> list[tuple[int, int, Array]]:
+        """(seq, stamp_ns, T_map_lidar) of every mapped frame, by the graph as it is now."""
+        poses = self.graph.poses
+        return [(f.seq, f.stamp_ns, poses[f.keyframe] @ f.T_keyframe_lidar) for f in self.frames]
+
+    def statistics(self) -> dict:
+        """Counts and times for reports and metrics (JSON-ready)."""
+        rejected = {} if self.gnss is None else dict(self.gnss.rejected)
+        loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
+        return self.stats.report(len(self.frames), len(self.keyframes), rejected, loops_rejected)
+
+    # --- persistence ------------------------------------------------------------------------------------------
+
+    @property
+    def commit_due(self) -> bool:
+        """At each keyframe and at least every second or 20 frames of recording time."""
+        return self.log.due(self.settings.commit_frames, self.settings.commit_s)
+
+    def take_commit(self) -> Commit:
+        """Everything since the previous commit."""
+        return self.log.take(self.graph, persistence.dump(self))
+
+    @classmethod
+    def restore(
+        cls,
+        robot: Robot,
+        settings: PipelineSettings,
+        verifier: LoopVerifier,
+        disable: frozenset[str],
+        deskew: str,
+        snapshot: Snapshot,
+    ) -> MapPipeline:
+        """A session as its store knows it, ready for frame `snapshot.last_seq + 1`."""
+        pipeline = cls(robot, settings, verifier, disable, deskew)
+        persistence.load(pipeline, snapshot)
+        return pipeline

@@ -1,0 +1,182 @@
+"""Scan-to-map registration: equation 3 of the paper on SE(3).
+
+Corner-to-line and surf-to-plane distances, weighted by what is known of each fit, are minimised by
+Levenberg-Marquardt from the motion that the edge's Imu node predicts. That prediction is also a measurement: with
+its covariance it fills the directions that the features do not observe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from map_service import _kernels as kernels
+from map_service.local_map import LocalMap
+from map_service.settings import RegistrationSettings
+from splitslam import se3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegistrationResult:
+    """How a registration went.
+
+    T_local_lidar: (4, 4). information: (6, 6) of the features alone, right tangent, rotation first.
+    covariance: (6, 6), features and prior together, inflated by the residuals.
+    degenerate_axes: (A, 6) unit directions the features do not observe. inliers: features within 3 sigma.
+    delta_velocity_mps: (3,) correction of the scan's velocity that the points were deskewed again with.
+    """
+
+    T_local_lidar: Array
+    information: Array
+    covariance: Array
+    converged: bool
+    iterations: int
+    matched: int
+    inliers: int
+    features: int
+    error: float
+    degenerate_axes: Array
+    delta_velocity_mps: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where the scan should be: T_local_lidar (4, 4), its information (6, 6), and how well its velocity is known.
+
+    interval_s: time since the previous frame; velocity_sigma_mps: of the edge's velocity, one axis.
+    """
+
+    T_local_lidar: Array
+    information: Array
+    interval_s: float
+    velocity_sigma_mps: float
+
+
+class Registration:
+    """Holds the settings and the scratch arrays; one per session."""
+
+    def __init__(self, settings: RegistrationSettings) -> None:
+        self.settings = settings
+
+    def align(
+        self,
+        local_map: LocalMap,
+        corners_lidar: NDArray[np.float32],
+        surfs_lidar: NDArray[np.float32],
+        offsets_s: tuple[Array, Array],
+        prediction: Prediction,
+        deskew_again: bool,
+    ) -> RegistrationResult:
+        """Aligns the features (N, 3), frame `lidar`, to the map, from the prediction.
+
+        offsets_s: per class (N,), time of each point after the scan's reference time. With `deskew_again` the
+        points follow the velocity that the found motion implies: p' = p + dv * t.
+        """
+        s = self.settings
+        classes = (
+            _Class(local_map.corners, corners_lidar, offsets_s[0]),
+            _Class(local_map.surfs, surfs_lidar, offsets_s[1]),
+        )
+        T = prediction.T_local_lidar.copy()
+        delta_v = np.zeros(3)
+        sigma_v2 = prediction.velocity_sigma_mps**2
+        gain = sigma_v2 / (sigma_v2 + (s.position_sigma_m / max(prediction.interval_s, 1e-3)) ** 2)
+        gate_m = s.gate_start_m + s.gate_sigmas * prediction.velocity_sigma_mps * prediction.interval_s
+        converged, iterations, damping = False, 0, s.damping
+        H, b, fit = np.zeros((6, 6)), np.zeros(6), _Fit(0.0, 0, 0.0, 0)
+        noise = np.array([s.point_sigma_m, s.robust_sigmas])
+        for iterations in range(1, s.max_iterations + 1):
+            H, b, fit = _normal_equations(classes, T, gate_m, noise)
+            xi_prior = se3.log(se3.inv(prediction.T_local_lidar) @ T)
+            H_total = H + prediction.information
+            b_total = b - prediction.information @ xi_prior
+            step = np.linalg.solve(H_total + damping * np.diag(np.diag(H_total)), b_total)
+            T = T @ se3.exp(step)
+            moved_m, turned_rad = float(np.linalg.norm(step[3:])), float(np.linalg.norm(step[:3]))
+            if deskew_again:
+                previous = delta_v
+                error_m = T[:3, :3].T @ (T[:3, 3] - prediction.T_local_lidar[:3, 3])
+                delta_v = gain * error_m / max(prediction.interval_s, 1e-3)
+                moved_m += 0.1 * float(np.linalg.norm(delta_v - previous))
+                for features in classes:
+                    features.shift(delta_v)
+            if moved_m < s.converged_m and turned_rad < s.converged_rad:
+                converged = True
+                break
+            gate_m = max(s.gate_end_m, 0.6 * gate_m)
+        return self._result(T, H, prediction, converged, iterations, fit, classes, delta_v)
+
+    def _result(
+        self,
+        T: Array,
+        H: Array,
+        prediction: Prediction,
+        converged: bool,
+        iterations: int,
+        fit: _Fit,
+        classes: tuple[_Class, _Class],
+        delta_v: Array,
+    ) -> RegistrationResult:
+        s = self.settings
+        error = float(np.sqrt(fit.squares / max(fit.inliers, 1)))
+        # neighbouring residuals are correlated (same plane, same laser): the features count for less than they are
+        information = H / (s.correlation * max(error * error, 0.25))
+        values, vectors = np.linalg.eigh(information / np.outer(s.scale, s.scale))
+        weak = values < s.degenerate_information
+        axes = (vectors[:, weak] / s.scale[:, None]).T if weak.any() else np.zeros((0, 6))
+        if len(axes):
+            axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        features = sum(len(c.points_lidar) for c in classes)
+        return RegistrationResult(
+            T_local_lidar=se3.orthonormalised(T),
+            information=information,
+            covariance=np.linalg.inv(information + prediction.information),
+            converged=converged,
+            iterations=iterations,
+            matched=fit.matched,
+            inliers=fit.inliers,
+            features=features,
+            error=error,
+            degenerate_axes=axes,
+            delta_velocity_mps=delta_v,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    cost: float
+    inliers: int
+    squares: float
+    matched: int
+
+
+class _Class:
+    """One feature class with its scratch arrays."""
+
+    def __init__(self, voxels, points_lidar: NDArray[np.float32], offsets_s: Array) -> None:
+        self.voxels = voxels
+        self.original = np.ascontiguousarray(points_lidar, np.float64)
+        self.points_lidar = self.original
+        self.offsets_s = offsets_s
+        self.points_local = np.empty_like(self.original)
+        self.slots = np.empty(len(points_lidar), np.int64)
+
+    def shift(self, delta_v: Array) -> None:
+        self.points_lidar = self.original + self.offsets_s[:, None] * delta_v
+
+
+def _normal_equations(classes: tuple[_Class, _Class], T: Array, gate_m: float, noise: Array) -> tuple[Array, Array, _Fit]:
+    H, b = np.zeros((6, 6)), np.zeros(6)
+    cost, inliers, squares, matched = 0.0, 0, 0.0, 0
+    for c in classes:
+        if not len(c.points_lidar):
+            continue
+        kernels.transform(T, c.points_lidar, c.points_local)
+        matched += c.voxels.match(c.points_local, gate_m, c.slots)
+        part = kernels.linearise(c.voxels.geometry, c.voxels.moments, c.points_lidar, T, c.slots, noise, H, b)
+        cost, inliers, squares = cost + part[0], inliers + part[1], squares + part[2]
+    return np.triu(H) + np.triu(H, 1).T, b, _Fit(cost, inliers, squares, matched)

@@ -1,0 +1,125 @@
+"""Settings of the map pipeline; every default is the one the published figures were measured with."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from splitslam.config import Model
+
+
+class VoxelSettings(Model):
+    """Voxels of one feature class; level k has the size voxel_m * 2^k."""
+
+    voxel_m: float = 0.5
+    levels: int = 3
+    min_points: int = 6
+    max_thickness_m: float = 0.15
+    min_extent_share: float = 0.1
+    max_thickness_ratio: float = 0.35
+
+
+class LocalMapSettings(Model):
+    """The local map around the robot."""
+
+    surfs: VoxelSettings = VoxelSettings()
+    corners: VoxelSettings = VoxelSettings(voxel_m=0.5, levels=2, min_points=5, max_thickness_m=0.12)
+    radius_m: float = 80.0
+    rebuild_distance_m: float = 40.0
+
+
+class RegistrationSettings(Model):
+    """Scan-to-map registration."""
+
+    max_iterations: int = 20
+    damping: float = 1e-6
+    gate_start_m: float = 0.4
+    gate_end_m: float = 0.3
+    gate_sigmas: float = 2.0
+    point_sigma_m: float = 0.02
+    robust_sigmas: float = 1.5
+    correlation: float = 8.0
+    position_sigma_m: float = 0.01
+    converged_m: float = 2e-4
+    converged_rad: float = 2e-5
+    degenerate_information: float = 1e4
+    lever_m: float = Field(default=10.0, description="rotation counts as this lever arm when axes are compared")
+
+    @property
+    def scale(self) -> np.ndarray:
+        """(6,): metres of displacement for one unit of each tangent axis."""
+        return np.array([self.lever_m] * 3 + [1.0] * 3)
+
+
+class TrackerSettings(Model):
+    """Scan-to-map tracking and keyframes."""
+
+    local_map: LocalMapSettings = LocalMapSettings()
+    registration: RegistrationSettings = RegistrationSettings()
+    keyframe_m: float = 0.9
+    keyframe_rad: float = 0.18
+    pose_rotation_rad: float = 0.0005
+    pose_translation_m: float = 0.005
+    start_acceleration_mps2: float = 5.0
+    bootstrap_iterations: int = 4
+    min_inliers: int = 60
+    min_inlier_share: float = 0.15
+    lost_frames: int = 10
+
+
+class GraphSettings(Model):
+    """The factor graph."""
+
+    relinearise_threshold: float = 0.01
+    extra_updates: int = 3
+    robust_sigmas: float = 1.0
+    odometry_rotation_rad: float = 5e-4
+    odometry_translation_m: float = 0.003
+    odometry_translation_share: float = 0.002
+    rebuild_m: float = 0.02
+    rebuild_rad: float = 0.005
+    report_m: float = 0.001
+    report_rad: float = 0.0002
+
+
+class GnssSettings(Model):
+    """Which fixes become factors, and how strongly."""
+
+    spacing_m: float = 5.0
+    start_distance_m: float = 5.0
+    start_sigmas: float = 5.0
+    floor_m: float = 0.5
+    unknown_sigma_m: float = 3.0
+    max_sigma_m: float = 5.0
+    gate_sigmas: float = 3.0
+    drift_share: float = 0.02
+    correlation: float = Field(default=3.0, description="errors of fixes 5 m apart are alike: each counts for less")
+
+
+class LoopSettings(Model):
+    """Loop closures."""
+
+    radius_m: float = 10.0
+    min_age_s: float = 30.0
+    spacing_m: float = 3.0
+    apply_after_frames: int = 10
+    target_keyframes: int = 10
+    source_keyframes: int = 1
+    coarse_distance_m: float = 3.0
+    fine_distance_m: float = 0.75
+    inlier_m: float = 0.3
+    min_inlier_share: float = 0.7
+    max_shift_m: float = 5.0
+    rotation_sigma_rad: float = 0.003
+    translation_sigma_m: float = 0.02
+
+
+class PipelineSettings(Model):
+    """One session's map pipeline."""
+
+    tracker: TrackerSettings = TrackerSettings()
+    graph: GraphSettings = GraphSettings()
+    gnss: GnssSettings = GnssSettings()
+    loops: LoopSettings = LoopSettings()
+    commit_frames: int = 20
+    commit_s: float = 1.0

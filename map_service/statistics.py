@@ -1,0 +1,74 @@
+"""Counts and times of one session, as reports and metrics read them."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+
+from map_service.tracker import Track
+from map_service.types import CorrectionRecord
+
+STAGES = ("registration", "graph", "total")
+
+
+class SessionStatistics:
+    """Grows by 48 bytes a frame; survives no restart (the counts that must are in the pipeline's dump)."""
+
+    def __init__(self) -> None:
+        self.loops = 0
+        self.gnss_factors = 0
+        self.corrections: dict[str, int] = {}
+        self.largest_correction_m = 0.0
+        self.degenerate_frames = 0
+        self.iterations = 0
+        self._cpu_ms = {stage: array("d") for stage in STAGES}
+        self._wall_ms = {stage: array("d") for stage in STAGES}
+
+    def correction(self, record: CorrectionRecord) -> None:
+        """Counts a reported jump of T_map_odom."""
+        cause = record.cause.name.lower()
+        self.corrections[cause] = self.corrections.get(cause, 0) + 1
+        self.largest_correction_m = max(self.largest_correction_m, record.translation_m)
+
+    def frame(self, track: Track, started, registered, ended) -> None:
+        """Adds the times (wall, thread CPU; s) of one frame's stages."""
+        for series, i in ((self._wall_ms, 0), (self._cpu_ms, 1)):
+            series["registration"].append((registered[i] - started[i]) * 1e3)
+            series["graph"].append((ended[i] - registered[i]) * 1e3)
+            series["total"].append((ended[i] - started[i]) * 1e3)
+        if track.registration is not None:
+            self.iterations += track.registration.iterations
+            self.degenerate_frames += bool(len(track.registration.degenerate_axes))
+
+    def report(self, mapped: int, keyframes: int, gnss_rejected: dict, loops_rejected: dict) -> dict:
+        """JSON-ready."""
+        return {
+            "mapped": mapped,
+            "keyframes": keyframes,
+            "loops": self.loops,
+            "loops_rejected": loops_rejected,
+            "gnss_factors": self.gnss_factors,
+            "gnss_rejected": gnss_rejected,
+            "map_count": sum(self.corrections.values()),
+            "map_max_m": self.largest_correction_m,
+            "corrections": dict(self.corrections),
+            "degenerate_frames": self.degenerate_frames,
+            "registration_iterations": self.iterations,
+            "map_ms": {stage: summary(values) for stage, values in self._cpu_ms.items()},
+            "map_wall_ms": {stage: summary(values) for stage, values in self._wall_ms.items()},
+        }
+
+
+def summary(values: array) -> dict[str, float]:
+    """mean, std, p50, p99, max of a series; zeros when empty."""
+    if not values:
+        return dict.fromkeys(("mean", "std", "p50", "p99", "max"), 0.0)
+    v = np.frombuffer(values)
+    return {
+        "mean": float(v.mean()),
+        "std": float(v.std()),
+        "p50": float(np.percentile(v, 50)),
+        "p99": float(np.percentile(v, 99)),
+        "max": float(v.max()),
+    }
