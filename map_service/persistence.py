@@ -98,7 +98,8 @@ def dump(pipeline: MapPipeline) -> bytes:
             "T_local_keyframe": state.T_local_keyframe.tolist(),
             "stamp_ns": state.stamp_ns,
             "frames": state.frames,
-            "delta_velocity_mps": state.delta_velocity_mps.tolist(),
+            "twist": state.twist.tolist(),
+            "base_twist": state.base_twist.tolist(),
             "bad_frames": state.bad_frames,
             "T_map_local": pipeline.T_map_local.tolist(),
             "T_map_odom": pipeline.T_map_odom.tolist(),
@@ -143,7 +144,8 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         np.array(data["T_local_keyframe"]),
         int(data["stamp_ns"]),
         int(data["frames"]),
-        np.array(data["delta_velocity_mps"]),
+        np.array(data["twist"]),
+        np.array(data["base_twist"]),
         int(data["bad_frames"]),
     )
     if pipeline.gnss is not None and data["gnss"] is not None:

@@ -20,7 +20,7 @@ from map_service.graph import PoseGraph
 from map_service.keyframes import Keyframes
 from map_service.loops import LoopVerifier
 from map_service.settings import PipelineSettings
-from map_service.statistics import SessionStatistics
+from map_service.pipeline_statistics import PipelineStatistics
 from map_service.tracker import Track, Tracker
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
 from splitslam import se3
@@ -52,7 +52,7 @@ class MapPipeline:
         self.T_map_odom = np.eye(4)
         self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
         self.frames: list[FrameRecord] = []
-        self.stats = SessionStatistics()
+        self.stats = PipelineStatistics()
         self.log = persistence.CommitLog()
 
     def process(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:

@@ -27,7 +27,7 @@ class RegistrationResult:
     T_local_lidar: (4, 4). information: (6, 6) of the features alone, right tangent, rotation first.
     covariance: (6, 6), features and prior together, inflated by the residuals.
     degenerate_axes: (A, 6) unit directions the features do not observe. inliers: features within 3 sigma.
-    delta_velocity_mps: (3,) correction of the scan's velocity that the points were deskewed again with.
+    delta_twist: (6,) correction of the scan's twist, rad/s and m/s, that the points were deskewed again with.
     """
 
     T_local_lidar: Array
@@ -40,19 +40,20 @@ class RegistrationResult:
     features: int
     error: float
     degenerate_axes: Array
-    delta_velocity_mps: Array
+    delta_twist: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Where the scan should be: T_local_lidar (4, 4), its information (6, 6), and how well its velocity is known.
+    """Where the scan should be: T_local_lidar (4, 4), its information (6, 6), and how well its twist is known.
 
-    interval_s: time since the previous frame; velocity_sigma_mps: of the edge's velocity, one axis.
+    interval_s: time since the previous frame; rate_sigma_radps, velocity_sigma_mps: of the edge's motion, one axis.
     """
 
     T_local_lidar: Array
     information: Array
     interval_s: float
+    rate_sigma_radps: float
     velocity_sigma_mps: float
 
 
@@ -74,7 +75,7 @@ class Registration:
         """Aligns the features (N, 3), frame `lidar`, to the map, from the prediction.
 
         offsets_s: per class (N,), time of each point after the scan's reference time. With `deskew_again` the
-        points follow the velocity that the found motion implies: p' = p + dv * t.
+        points follow the twist that the found motion implies: p' = p + (dv + dw x p) t.
         """
         s = self.settings
         classes = (
@@ -82,10 +83,13 @@ class Registration:
             _Class(local_map.surfs, surfs_lidar, offsets_s[1]),
         )
         T = prediction.T_local_lidar.copy()
-        delta_v = np.zeros(3)
-        sigma_v2 = prediction.velocity_sigma_mps**2
-        gain = sigma_v2 / (sigma_v2 + (s.position_sigma_m / max(prediction.interval_s, 1e-3)) ** 2)
-        gate_m = s.gate_start_m + s.gate_sigmas * prediction.velocity_sigma_mps * prediction.interval_s
+        delta = np.zeros(6)
+        dt = prediction.interval_s
+        known = np.repeat([prediction.rate_sigma_radps**2, prediction.velocity_sigma_mps**2], 3)
+        seen = np.repeat([(s.rotation_sigma_rad / dt) ** 2, (s.position_sigma_m / dt) ** 2], 3)
+        gain = known / (known + seen)
+        reach_m = prediction.velocity_sigma_mps * dt + s.lever_m * prediction.rate_sigma_radps * dt
+        gate_m = min(s.gate_start_m + s.gate_sigmas * reach_m, s.gate_limit_m)
         converged, iterations, damping = False, 0, s.damping
         H, b, fit = np.zeros((6, 6)), np.zeros(6), _Fit(0.0, 0, 0.0, 0)
         noise = np.array([s.point_sigma_m, s.robust_sigmas])
@@ -98,17 +102,16 @@ class Registration:
             T = T @ se3.exp(step)
             moved_m, turned_rad = float(np.linalg.norm(step[3:])), float(np.linalg.norm(step[:3]))
             if deskew_again:
-                previous = delta_v
-                error_m = T[:3, :3].T @ (T[:3, 3] - prediction.T_local_lidar[:3, 3])
-                delta_v = gain * error_m / max(prediction.interval_s, 1e-3)
-                moved_m += 0.1 * float(np.linalg.norm(delta_v - previous))
+                previous = delta
+                delta = gain * se3.log(se3.inv(prediction.T_local_lidar) @ T) / dt
+                moved_m += 0.1 * float(np.linalg.norm((delta - previous) * s.scale))
                 for features in classes:
-                    features.shift(delta_v)
+                    features.shift(delta)
             if moved_m < s.converged_m and turned_rad < s.converged_rad:
                 converged = True
                 break
             gate_m = max(s.gate_end_m, 0.6 * gate_m)
-        return self._result(T, H, prediction, converged, iterations, fit, classes, delta_v)
+        return self._result(T, H, prediction, converged, iterations, fit, classes, delta)
 
     def _result(
         self,
@@ -119,7 +122,7 @@ class Registration:
         iterations: int,
         fit: _Fit,
         classes: tuple[_Class, _Class],
-        delta_v: Array,
+        delta: Array,
     ) -> RegistrationResult:
         s = self.settings
         error = float(np.sqrt(fit.squares / max(fit.inliers, 1)))
@@ -142,7 +145,7 @@ class Registration:
             features=features,
             error=error,
             degenerate_axes=axes,
-            delta_velocity_mps=delta_v,
+            delta_twist=delta,
         )
 
 
@@ -165,8 +168,13 @@ class _Class:
         self.points_local = np.empty_like(self.original)
         self.slots = np.empty(len(points_lidar), np.int64)
 
-    def shift(self, delta_v: Array) -> None:
-        self.points_lidar = self.original + self.offsets_s[:, None] * delta_v
+    def shift(self, delta_twist: Array) -> None:
+        self.points_lidar = deskew_again(self.original, self.offsets_s, delta_twist)
+
+
+def deskew_again(points_lidar: Array, offsets_s: Array, delta_twist: Array) -> Array:
+    """First order, for a twist error (6,) constant over the scan: p' = p + (dv + dw x p) t."""
+    return points_lidar + offsets_s[:, None] * (delta_twist[3:] + np.cross(delta_twist[:3], points_lidar))
 
 
 def _normal_equations(classes: tuple[_Class, _Class], T: Array, gate_m: float, noise: Array) -> tuple[Array, Array, _Fit]:

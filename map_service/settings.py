@@ -39,6 +39,8 @@ class RegistrationSettings(Model):
     point_sigma_m: float = 0.02
     robust_sigmas: float = 1.5
     correlation: float = 8.0
+    gate_limit_m: float = 3.0
+    rotation_sigma_rad: float = 0.001
     position_sigma_m: float = 0.01
     converged_m: float = 2e-4
     converged_rad: float = 2e-5
@@ -61,6 +63,7 @@ class TrackerSettings(Model):
     pose_rotation_rad: float = 0.0005
     pose_translation_m: float = 0.005
     start_acceleration_mps2: float = 5.0
+    start_rotation_radps2: float = 5.0
     bootstrap_iterations: int = 4
     min_inliers: int = 60
     min_inlier_share: float = 0.15

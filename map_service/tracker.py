@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service.local_map import LocalMap
-from map_service.registration import Prediction, Registration, RegistrationResult
+from map_service.registration import Prediction, Registration, RegistrationResult, deskew_again
 from map_service.settings import TrackerSettings
 from map_service.types import State
 from splitslam import se3
 from splitslam.features import FeatureFrame, FeatureSet
 
 Array = NDArray[np.float64]
+NO_IMU_SIGMA_RAD = 0.4  # an edge without an IMU says it does not know where down is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +43,8 @@ class TrackerState:
     T_local_keyframe: Array
     stamp_ns: int
     frames: int
-    delta_velocity_mps: Array
+    twist: Array  # of the newest motion, rad/s and m/s, frame `lidar`
+    base_twist: Array  # zero, but while the first two scans are put together
     bad_frames: int
 
 
@@ -71,35 +73,47 @@ class Tracker:
 
     def _begin(self, frame: FeatureFrame) -> Track:
         T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))
-        self.state = TrackerState(T, T, frame.stamp_ns, 1, np.zeros(3), 0)
+        self.state = TrackerState(T, T, frame.stamp_ns, 1, np.zeros(6), np.zeros(6), 0)
         self._first = frame
         return Track(T, None, State.INITIALISING, True, frame.corners.points_lidar, frame.surfs.points_lidar)
 
     def _align(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
-        motion = frame.motion
+        motion, s = frame.motion, self.settings
         interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
-        # while the edge does not know its velocity, the error of one scan is the error of the next
-        base = np.zeros(3) if motion.velocity_known or not self.redeskew else state.delta_velocity_mps
-        T_prev_lidar = motion.T_prev_lidar.copy()
-        T_prev_lidar[:3, 3] += base * interval_s
-        velocity_sigma = float(np.sqrt(motion.covariance[3, 3])) / interval_s
-        if base.any():
-            velocity_sigma = min(velocity_sigma, self.settings.start_acceleration_mps2 * 2 * interval_s)
-        covariance = motion.covariance.copy()
-        covariance[3:, 3:] = np.eye(3) * (velocity_sigma * interval_s) ** 2
-        covariance += np.diag(np.repeat([self.settings.pose_rotation_rad**2, self.settings.pose_translation_m**2], 3))
+        sigmas = np.sqrt(np.maximum([motion.covariance[0, 0], motion.covariance[3, 3]], 1e-12)) / interval_s
+        base = self._base_twist(frame, state, interval_s)
+        if base.any():  # what remains is how the twist changes from one scan to the next
+            limits = np.array([s.start_rotation_radps2, s.start_acceleration_mps2]) * interval_s
+            sigmas = np.minimum(sigmas, limits)
+        T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
+        floors = np.array([s.pose_rotation_rad, s.pose_translation_m])
+        variances = np.repeat((sigmas * interval_s) ** 2 + floors**2, 3)
         prediction = Prediction(
-            state.T_local_lidar @ T_prev_lidar, np.linalg.inv(covariance), interval_s, velocity_sigma
+            state.T_local_lidar @ T_prev_lidar, np.diag(1.0 / variances), interval_s, float(sigmas[0]), float(sigmas[1])
         )
         result = self.registration.align(
             self.local_map,
-            _shifted(frame.corners, base),
-            _shifted(frame.surfs, base),
+            _again(frame.corners, base),
+            _again(frame.surfs, base),
             (frame.corners.t_offset_ns * 1e-9, frame.surfs.t_offset_ns * 1e-9),
             prediction,
             self.redeskew,
         )
-        return replace(result, delta_velocity_mps=result.delta_velocity_mps + base)
+        return replace(result, delta_twist=result.delta_twist + base)
+
+    def _base_twist(self, frame: FeatureFrame, state: TrackerState, interval_s: float) -> Array:
+        """What to add to the edge's twist before registering: nothing, unless the server knows better.
+
+        It does while the edge has no velocity yet, and always when there is no IMU: the edge's twist is then two
+        scans old, the server's one.
+        """
+        inertial = frame.motion.gravity_sigma_rad < NO_IMU_SIGMA_RAD
+        if not self.redeskew or state.frames < 2 or (inertial and frame.motion.velocity_known):
+            return state.base_twist
+        base = state.twist - se3.log(frame.motion.T_prev_lidar) / interval_s
+        if inertial:
+            base[:3] = 0.0
+        return base
 
     def _bootstrap(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult):
         """A robot that starts moving: the first scan was taken with the velocity that the second one reveals."""
@@ -108,13 +122,13 @@ class Tracker:
             return result, None
         points = first.corners.points_lidar, first.surfs.points_lidar
         for _ in range(self.settings.bootstrap_iterations):
-            dv = result.delta_velocity_mps
-            points = _shifted(first.corners, dv), _shifted(first.surfs, dv)
+            delta = result.delta_twist
+            points = _again(first.corners, delta), _again(first.surfs, delta)
             self.local_map.clear()
             self.insert(0, state.T_local_keyframe, *points)
-            state.delta_velocity_mps = dv
+            state.base_twist = delta
             result = self._align(frame, state)
-            if np.linalg.norm(result.delta_velocity_mps - dv) < 0.02:
+            if np.linalg.norm((result.delta_twist - delta) * self.settings.registration.scale) < 0.02:
                 break
         return result, points
 
@@ -137,12 +151,19 @@ class Tracker:
             status = State.INITIALISING
         else:
             status = State.TRACKING
-        dv = result.delta_velocity_mps if good else np.zeros(3)
+        interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
+        twist = se3.log(se3.inv(state.T_local_lidar) @ T) / interval_s
         self.state = TrackerState(
-            T, T if keyframe else state.T_local_keyframe, frame.stamp_ns, state.frames + 1, dv, bad_frames
+            T,
+            T if keyframe else state.T_local_keyframe,
+            frame.stamp_ns,
+            state.frames + 1,
+            twist,
+            np.zeros(6),
+            bad_frames,
         )
-        dv = dv if self.redeskew else np.zeros(3)
-        return Track(T, result, status, keyframe, _shifted(frame.corners, dv), _shifted(frame.surfs, dv))
+        delta = result.delta_twist if good and self.redeskew else np.zeros(6)
+        return Track(T, result, status, keyframe, _again(frame.corners, delta), _again(frame.surfs, delta))
 
     def insert(
         self, index: int, T_local_lidar: Array, corners_lidar: NDArray[np.float32], surfs_lidar: NDArray[np.float32]
@@ -159,9 +180,9 @@ class Tracker:
             )
 
 
-def _shifted(features: FeatureSet, delta_velocity_mps: Array) -> NDArray[np.float32]:
-    """Deskewed again for another velocity: p' = p + dv * t, first order, exact for a velocity error."""
-    if not delta_velocity_mps.any():
+def _again(features: FeatureSet, delta_twist: Array) -> NDArray[np.float32]:
+    """The points (N, 3), deskewed again for another twist."""
+    if not delta_twist.any():
         return features.points_lidar
-    shift = (features.t_offset_ns * 1e-9)[:, None] * delta_velocity_mps
-    return (features.points_lidar + shift).astype(np.float32)
+    points = features.points_lidar.astype(np.float64)
+    return deskew_again(points, features.t_offset_ns * 1e-9, delta_twist).astype(np.float32)

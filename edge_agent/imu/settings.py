@@ -23,3 +23,5 @@ class ImuSettings(Model):
     blend_max_mps: float = 0.1
     blend_max_radps: float = 0.05
     history_s: float = 10.0
+    no_imu_velocity_mps: float = 0.5
+    no_imu_rate_radps: float = 0.5

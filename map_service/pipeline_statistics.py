@@ -12,7 +12,7 @@ from map_service.types import CorrectionRecord
 STAGES = ("registration", "graph", "total")
 
 
-class SessionStatistics:
+class PipelineStatistics:
     """Grows by 48 bytes a frame; survives no restart (the counts that must are in the pipeline's dump)."""
 
     def __init__(self) -> None:
