@@ -80,7 +80,7 @@ def read_text(path: Path) -> str:
 def parse_yaml(text: str, name: str) -> dict[str, Any]:
     """YAML text -> mapping; InputError naming `name` and the line when it is none."""
     try:
-        data = yaml.load(text, Loader=_Loader)  # noqa: S506  (_Loader is a SafeLoader)
+        data = yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark is not None else ""
@@ -107,7 +107,7 @@ def dump(model: pydantic.BaseModel) -> str:
 
 
 def _explain(cls: type[pydantic.BaseModel], problem: Any) -> str:
-    key = ".".join(str(part) for part in problem["loc"]) or "file"
+    key = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         nearest = _nearest_key(cls, tuple(str(part) for part in problem["loc"]))
         return f"{key}: unknown key; nearest known: {nearest}"
@@ -116,7 +116,7 @@ def _explain(cls: type[pydantic.BaseModel], problem: Any) -> str:
     message = " ".join(str(problem["msg"]).removeprefix("Value error, ").split())
     value = problem.get("input")
     shown = f", found {value!r}" if isinstance(value, (str, int, float)) else ""
-    return f"{key}: {message}{shown}"
+    return f"{key}: {message}{shown}" if key else message
 
 
 def _nearest_key(cls: type[pydantic.BaseModel], location: tuple[str, ...]) -> str:
@@ -168,7 +168,7 @@ def _overlay_environment(
             node[section] = dict(child) if isinstance(child, dict) else {}
             node = node[section]
         try:
-            node[key] = yaml.load(environment[variable], Loader=_Loader)  # noqa: S506
+            node[key] = yaml.load(environment[variable], Loader=_Loader)
         except yaml.YAMLError as error:
             raise InputError(f"environment: {variable}: not a valid value: {environment[variable]!r}") from error
     return data
