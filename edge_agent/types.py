@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splitslam.scan import GnssFix
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryReply:
@@ -37,3 +39,22 @@ class OdomPoses:
     positions_m: NDArray[np.float64]
     quats_xyzw: NDArray[np.float64]
     velocities_mps: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EncodedFrame:
+    """A frame as it goes to the uplink.
+
+    payload: splitslam.codec's bytes. stage_cpu_ms, stage_wall_ms: thread CPU and wall time by stage: deskew (projection
+    included: the paper's Algorithm 1), motion (Imu node), features, encode, total. corners, surfs: points in it.
+    """
+
+    seq: int
+    stamp_ns: int
+    dense: bool
+    payload: bytes
+    fixes: tuple[GnssFix, ...]
+    stage_cpu_ms: dict[str, float]
+    stage_wall_ms: dict[str, float]
+    corners: int = 0
+    surfs: int = 0

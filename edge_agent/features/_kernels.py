@@ -1,0 +1,230 @@
+"""Kernels of projection, curvature and selection. Source of every formula: LIO-SAM, imageProjection.cpp and
+featureExtraction.cpp, as the paper's Image and Feature nodes run them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+FASTMATH = {"contract", "nsz"}
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def project(points, ring, cells, counts):
+    """cells (rings, columns) int32: index of the first point of each cell, -1 where there is none.
+
+    counts (2,) int64: points dropped because the cell was taken, because the ring does not exist.
+    """
+    rings, columns = cells.shape
+    cells[:] = -1
+    counts[:] = 0
+    per_rad = columns / (2.0 * math.pi)
+    half = columns // 2
+    for i in range(len(points)):
+        row = ring[i]
+        if row >= rings:
+            counts[1] += 1
+            continue
+        # LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2; the angle in it is minus the azimuth
+        v = math.atan2(points[i, 1], points[i, 0]) * per_rad
+        column = int(math.floor(v + 0.5)) + half if v >= 0.0 else half - int(math.floor(0.5 - v))
+        if column >= columns:
+            column -= columns
+        if cells[row, column] >= 0:
+            counts[0] += 1
+        else:
+            cells[row, column] = i
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def gather(cells, points, out_points, out_range, out_column, source, ring_start):
+    """Lays the cells' points out by ring, then column; ring_start (rings + 1,). Returns how many there are.
+
+    source (M,) int32 is each point's index in the scan.
+    """
+    rings, columns = cells.shape
+    n = 0
+    for row in range(rings):
+        ring_start[row] = n
+        for column in range(columns):
+            i = cells[row, column]
+            if i < 0:
+                continue
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            out_points[n, 0], out_points[n, 1], out_points[n, 2] = x, y, z
+            out_range[n] = math.sqrt(x * x + y * y + z * z)
+            out_column[n] = column
+            source[n] = i
+            n += 1
+    ring_start[rings] = n
+    return n
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def smoothness(range_m, curvature):
+    """curvature[i] = (sum of the ten neighbours' ranges - 10 range[i])^2, m^2; zero within 5 of the array's ends."""
+    n = len(range_m)
+    curvature[: min(5, n)] = 0.0
+    curvature[max(n - 5, 0) :] = 0.0
+    for i in range(5, n - 5):
+        d = range_m[i - 5] + range_m[i - 4] + range_m[i - 3] + range_m[i - 2] + range_m[i - 1]
+        d += range_m[i + 1] + range_m[i + 2] + range_m[i + 3] + range_m[i + 4] + range_m[i + 5]
+        d -= 10.0 * range_m[i]
+        curvature[i] = d * d
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def unreliable(range_m, column, masked):
+    """masked[i] = 1 for points that may be occluded from elsewhere and for beams nearly parallel to the surface."""
+    n = len(range_m)
+    masked[:] = 0
+    for i in range(5, n - 6):
+        near, far = range_m[i], range_m[i + 1]
+        if abs(int(column[i + 1]) - int(column[i])) < 10:
+            if near - far > 0.3:
+                masked[i - 5 : i + 1] = 1
+            elif far - near > 0.3:
+                masked[i + 1 : i + 7] = 1
+        limit = 0.02 * near
+        if abs(range_m[i - 1] - near) > limit and abs(far - near) > limit:
+            masked[i] = 1
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def corners_of_sector(curvature, column, picked, span, threshold, largest, rank):
+    """Corners of one sector, span = (sp, ep) inclusive: sharpest first, at most `largest`; returns their number.
+
+    picked: masked points are set on entry, corners and their neighbours are added. rank[i] = 1 + order of the corner
+    in its sector, 0 elsewhere. As in LIO-SAM the last point of the sector is looked at first, whatever its curvature.
+    """
+    sp, ep = span
+    count = 0
+    for i in range(sp, ep):
+        if curvature[i] > threshold and picked[i] == 0:
+            count += 1
+    order = np.empty(count + 1, np.int64)
+    keys = np.empty(count, np.float32)
+    count = 0
+    for i in range(sp, ep):
+        if curvature[i] > threshold and picked[i] == 0:
+            order[count + 1] = i
+            keys[count] = -curvature[i]
+            count += 1
+    order[1:] = order[1:][np.argsort(keys, kind="mergesort")]
+    order[0] = ep
+    found = 0
+    for i in order:
+        if picked[i] != 0 or curvature[i] <= threshold:
+            continue
+        found += 1
+        if found > largest:
+            return largest
+        rank[i] = found
+        suppress(column, picked, i)
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def suppress(column, picked, i):
+    """Marks a picked point and up to five neighbours each side, as far as the columns go on without a gap."""
+    picked[i] = 1
+    for l in range(1, 6):
+        if i + l >= len(column) or abs(int(column[i + l]) - int(column[i + l - 1])) > 10:
+            break
+        picked[i + l] = 1
+    for l in range(1, 6):
+        if i - l < 0 or abs(int(column[i - l]) - int(column[i - l + 1])) > 10:
+            break
+        picked[i - l] = 1
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def select_corners(curvature, column, picked, ring_start, sectors, threshold, largest, rank):
+    """Corners of all rings and sectors; fills rank and cuts the rings as LIO-SAM does.
+
+    LIO-SAM begins each ring one point earlier, with a window that reaches into the ring before; here it does not.
+    """
+    rank[:] = 0
+    total = 0
+    for row in range(len(ring_start) - 1):
+        start, end = ring_start[row] + 5, ring_start[row + 1] - 6
+        for j in range(sectors):
+            sp = (start * (sectors - j) + end * j) // sectors
+            ep = (start * (sectors - 1 - j) + end * (j + 1)) // sectors - 1
+            if sp < ep:
+                total += corners_of_sector(curvature, column, picked, (sp, ep), threshold, largest, rank)
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def thin_surfs(points, rank, ring_start, leaf_m, table, sums, slot_of, kept):
+    """Per ring and voxel the point nearest to the centroid of the voxel's surf points (all that are no corner).
+
+    table (S, 4) int64, S a power of two >= twice the points of a ring: stamp and voxel of each slot; its first column
+    may hold anything below the stamps, which start at 1 and rise. sums (S, 5) float64: x y z count, best distance.
+    slot_of (N,) int32 scratch. kept (N,) uint8: 1 for the points that stay.
+    """
+    kept[:] = 0
+    table[:, 0] = 0
+    mask = len(table) - 1
+    inverse = 1.0 / leaf_m
+    for row in range(len(ring_start) - 1):
+        start, end = ring_start[row] + 5, ring_start[row + 1] - 6
+        for i in range(start, end):
+            if rank[i] > 0:
+                continue
+            ix = int(math.floor(points[i, 0] * inverse))
+            iy = int(math.floor(points[i, 1] * inverse))
+            iz = int(math.floor(points[i, 2] * inverse))
+            s = (ix * 73856093 ^ iy * 19349669 ^ iz * 83492791) & mask
+            while table[s, 0] == row + 1 and (table[s, 1] != ix or table[s, 2] != iy or table[s, 3] != iz):
+                s = (s + 1) & mask
+            if table[s, 0] != row + 1:
+                table[s, 0], table[s, 1], table[s, 2], table[s, 3] = row + 1, ix, iy, iz
+                sums[s, :] = 0.0
+            sums[s, 0] += points[i, 0]
+            sums[s, 1] += points[i, 1]
+            sums[s, 2] += points[i, 2]
+            sums[s, 3] += 1.0
+            slot_of[i] = s
+        nearest_to_centroids(points, rank, (start, end), sums, slot_of, kept)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def nearest_to_centroids(points, rank, span, sums, slot_of, kept):
+    """Second half of thin_surfs for one ring: sums[:, 4] ends as 1 + index of the voxel's best point."""
+    best_d2 = np.empty(span[1] - span[0] if span[1] > span[0] else 0, np.float64)
+    for i in range(span[0], span[1]):
+        if rank[i] > 0:
+            continue
+        s = slot_of[i]
+        d2 = 0.0
+        for c in range(3):
+            d = points[i, c] - sums[s, c] / sums[s, 3]
+            d2 += d * d
+        best_d2[i - span[0]] = d2
+        best = int(sums[s, 4]) - 1
+        if best < 0 or d2 < best_d2[best - span[0]]:
+            if best >= 0:
+                kept[best] = 0
+            kept[i] = 1
+            sums[s, 4] = i + 1.0
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def spread(keep, target, chosen):
+    """chosen[i] = 1 for `target` of the points with keep[i] = 1, evenly spaced in order (all, if there are fewer)."""
+    n = 0
+    for i in range(len(keep)):
+        n += keep[i]
+    wanted = min(target, n)
+    k = 0
+    for i in range(len(keep)):
+        chosen[i] = 0
+        if keep[i]:
+            if (k + 1) * wanted // n > k * wanted // n:
+                chosen[i] = 1
+            k += 1
+    return wanted

@@ -1,0 +1,103 @@
+"""Selection of corners and surfs (LOAM as LIO-SAM has it), and the thinning of frames that need not be dense.
+
+Differences from LIO-SAM, all small: a ring's window never reaches into the ring before; picking flat points does not
+suppress corners at the start of the next sector; and a voxel of surfs is represented by its real point nearest to the
+centroid, so that every feature keeps its ring, column and time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.features import _kernels as kernels
+from edge_agent.features.curvature import Smoothness
+from edge_agent.features.projection import Image
+from edge_agent.settings import FeatureSettings
+from splitslam.features import FeatureSet
+
+
+class Selector:
+    """Selects features of one sensor's images, with buffers for rings x columns points."""
+
+    def __init__(self, settings: FeatureSettings, rings: int, columns: int) -> None:
+        self.settings = settings
+        cells = rings * columns
+        self._picked = np.empty(cells, np.uint8)
+        self._rank = np.empty(cells, np.uint8 if settings.corners_per_sector < 256 else np.uint16)
+        self._kept = np.empty(cells, np.uint8)
+        self._chosen = np.empty(cells, np.uint8)
+        self._slot_of = np.empty(cells, np.int32)
+        slots = 1 << (2 * columns - 1).bit_length()
+        self._table = np.empty((slots, 4), np.int64)
+        self._sums = np.empty((slots, 5))
+
+    def select(
+        self, image: Image, points_lidar: NDArray[np.float32], smooth: Smoothness, dense: bool
+    ) -> tuple[FeatureSet, FeatureSet]:
+        """(corners, surfs) of an image; points_lidar (M, 3) float32 are its points deskewed. All copies."""
+        s, n = self.settings, len(image)
+        picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
+        picked[:] = smooth.masked
+        kernels.select_corners(
+            smooth.curvature,
+            image.column,
+            picked,
+            image.ring_start,
+            s.sectors,
+            s.corner_threshold_m2,
+            s.corners_per_sector,
+            rank,
+        )
+        kernels.thin_surfs(
+            points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._slot_of[:n], kept
+        )
+        if dense:
+            corner_index, surf_index = np.flatnonzero(rank), np.flatnonzero(kept)
+        else:
+            corner_index = self._sparse_corners(rank)
+            surf_index = self._sparse_surfs(kept, smooth)
+        take = _taker(image, points_lidar)
+        return take(corner_index), take(surf_index)
+
+    def _sparse_corners(self, rank: NDArray[np.unsignedinteger]) -> NDArray[np.int64]:
+        """The sharpest of every sector first, then the second of each, until there are enough."""
+        target = self.settings.sparse_corners
+        per_rank = np.bincount(rank, minlength=self.settings.corners_per_sector + 1)
+        per_rank[0] = 0
+        total = np.cumsum(per_rank)
+        last = int(np.searchsorted(total, target, side="right"))  # the first rank that does not fit as a whole
+        whole = (rank > 0) & (rank < last)
+        if last < len(total):
+            chosen = self._chosen[: len(rank)]
+            kernels.spread((rank == last).astype(np.uint8), target - int(total[last - 1]), chosen)
+            whole |= chosen.view(bool)
+        return np.flatnonzero(whole)
+
+    def _sparse_surfs(self, kept: NDArray[np.uint8], smooth: Smoothness) -> NDArray[np.int64]:
+        """Flat and reliable ones, evenly along all rings; rougher ones only when there are too few."""
+        target = self.settings.sparse_surfs
+        flat = kept.view(bool) & (smooth.curvature < self.settings.surf_threshold_m2) & (smooth.masked == 0)
+        chosen = self._chosen[: len(kept)]
+        taken = kernels.spread(flat.view(np.uint8), target, chosen)
+        index = np.flatnonzero(chosen)
+        if taken < target:
+            rest = (kept.view(bool) & ~flat).view(np.uint8)
+            kernels.spread(rest, target - taken, chosen)
+            index = np.sort(np.concatenate([index, np.flatnonzero(chosen)]))
+        return index
+
+
+def _taker(image: Image, points_lidar: NDArray[np.float32]) -> Callable[[NDArray[np.int64]], FeatureSet]:
+    def take(index: NDArray[np.int64]) -> FeatureSet:
+        return FeatureSet(
+            points_lidar=points_lidar[index],
+            ring=image.ring[index],
+            column=image.column[index],
+            t_offset_ns=image.t_offset_ns[index],
+            intensity=image.intensity[index],
+        )
+
+    return take
