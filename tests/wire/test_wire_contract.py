@@ -75,8 +75,9 @@ def _install_oldest() -> Path:
 
 def test_the_oldest_allowed_protobuf_writes_the_same_bytes_as_the_installed_one() -> None:
     path = os.pathsep.join([str(_install_oldest()), str(ROOT)])
-    # -S: only that folder, not this environment's packages.
-    command = [sys.executable, "-S", "-W", "error", str(ROOT / "tests" / "wire" / "samples.py")]
+    # -S: only that folder, not this environment's packages. The one warning is protobuf 5's own on Python 3.12.
+    warnings = ["-W", "error", "-W", "ignore:Type google._upb"]
+    command = [sys.executable, "-S", *warnings, str(ROOT / "tests" / "wire" / "samples.py")]
     done = subprocess.run(command, env={"PYTHONPATH": path}, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr[-3000:]
     answer = json.loads(done.stdout)
