@@ -1,0 +1,101 @@
+"""The read side of the store for operators and tools: list, get, delete, trajectory, keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from sqlalchemy import Row, delete, func, select
+
+from map_service import schema
+from map_service.store import Store, unpack_pose
+
+_PAGE_ROWS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Deleted:
+    """What a delete removed."""
+
+    frames: int
+    keyframes: int
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredKeyframe:
+    """One keyframe of the map. T_map_lidar: (4, 4) as corrected last; cloud: map_service.cloud's encoding."""
+
+    index: int
+    T_map_lidar: np.ndarray
+    cloud: bytes
+
+
+class Catalog:
+    """Queries over one store; sessions are named by their session id."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def sessions(self, site_id: str = "") -> list[Row]:
+        """Rows of `schema.sessions` in the order they were opened; all sites for ""."""
+        t = schema.sessions
+        query = select(t).order_by(t.c.id)
+        with self._store.reading() as connection:
+            return list(connection.execute(query.where(t.c.site_id == site_id) if site_id else query))
+
+    def session(self, session_id: str) -> Row | None:
+        t = schema.sessions
+        with self._store.reading() as connection:
+            return connection.execute(select(t).where(t.c.session_id == session_id)).first()
+
+    def delete(self, session_id: str) -> Deleted | None:
+        """Remove a session with everything it stored; None: there is none."""
+        t = schema.sessions
+        with self._store.writing() as connection:
+            row = connection.execute(select(t.c.id, t.c.bytes).where(t.c.session_id == session_id)).first()
+            if row is None:
+                return None
+            removed = {
+                table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
+                for table in (schema.frames, schema.clouds, schema.keyframes, schema.factors)
+            }
+            connection.execute(delete(t).where(t.c.id == row.id))
+            return Deleted(removed["frames"], removed["keyframes"], row.bytes)
+
+    def trajectory(self, key: int) -> Iterator[list[tuple[int, int, np.ndarray]]]:
+        """Chunks of at most 1,000 (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only."""
+        f, k = schema.frames, schema.keyframes
+        with self._store.reading() as connection:  # one read transaction: poses before and after a loop never mix
+            poses = {
+                index: unpack_pose(pose)
+                for index, pose in connection.execute(
+                    select(k.c.keyframe, k.c.pose_map_lidar).where(k.c.session == key)
+                )
+            }
+            rows = connection.execution_options(yield_per=_PAGE_ROWS).execute(
+                select(f.c.seq, f.c.stamp_ns, f.c.keyframe, f.c.pose_keyframe_lidar)
+                .where(f.c.session == key, f.c.rejected == "")
+                .order_by(f.c.seq)
+            )
+            for page in rows.partitions():
+                yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
+
+    def keyframes(self, key: int) -> Iterator[StoredKeyframe]:
+        """Every keyframe with its cloud, one at a time."""
+        k, c = schema.keyframes, schema.clouds
+        with self._store.reading() as connection:
+            rows = connection.execution_options(yield_per=16).execute(
+                select(k.c.keyframe, k.c.pose_map_lidar, c.c.cloud)
+                .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
+                .where(k.c.session == key)
+                .order_by(k.c.keyframe)
+            )
+            for index, pose, cloud in rows:
+                yield StoredKeyframe(index, unpack_pose(pose), cloud)
+
+    def bytes(self) -> int:
+        """What all sessions have written, without the database's own overhead."""
+        with self._store.reading() as connection:
+            return int(connection.execute(select(func.coalesce(func.sum(schema.sessions.c.bytes), 0))).scalar_one())

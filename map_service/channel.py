@@ -1,0 +1,135 @@
+"""Messages between the front and a worker process, and the blocking end that the worker reads.
+
+One socket pair a worker; a message is a length and a pickle: both ends are this program, nothing else can write there.
+"""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import struct
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+HEADER = struct.Struct("!I")
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A robot's stream has begun with this Hello (serialised)."""
+
+    stream: int
+    session_id: str
+    hello: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A StreamRequest (serialised) that is not a Hello. front_cpu_ns: CPU time of the front so far."""
+
+    stream: int
+    body: bytes
+    front_cpu_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """The stream is gone; the session stays."""
+
+    stream: int
+
+
+@dataclass(frozen=True, slots=True)
+class Forget:
+    """The session was deleted from the store."""
+
+    session_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class DrainAll:
+    """Answer what is queued, commit every session, say Drained, exit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The worker is warm and takes streams."""
+
+    pid: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """A StreamResponse (serialised). answer: it answers a frame. last: the stream ends well after it."""
+
+    stream: int
+    body: bytes
+    answer: bool = False
+    last: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """The stream ends with this status (a name of grpc.StatusCode); the robot resumes."""
+
+    stream: int
+    status: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Sign of life twice a second: what happened since the last one, and where every open stream stands.
+
+    counts: (metric, label values...) -> increment. observations: (metric, value).
+    busy_s: how long the pipeline thread has been at its present job. durable: stream -> durable_seq.
+    """
+
+    counts: dict[tuple[str, ...], float]
+    observations: list[tuple[str, float]]
+    busy_s: float
+    durable: dict[int, int]
+    sessions: dict[str, int]
+    released: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Drained:
+    """Everything is committed; the worker is about to exit."""
+
+    durable: dict[int, int]
+
+
+def pack(message: Any) -> bytes:
+    body = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+    return HEADER.pack(len(body)) + body
+
+
+def unpack(body: bytes) -> Any:
+    return pickle.loads(body)
+
+
+class WorkerEnd:
+    """The worker's end. `send` may be called by any thread, `receive` by one."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.setblocking(True)
+        self._sock = sock
+        self._file = sock.makefile("rb")
+        self._lock = threading.Lock()
+
+    def send(self, message: Any) -> None:
+        """Raises OSError when the front is gone."""
+        data = pack(message)
+        with self._lock:
+            self._sock.sendall(data)
+
+    def receive(self) -> Any | None:
+        """The next message, None when the front is gone."""
+        head = self._file.read(HEADER.size)
+        if len(head) < HEADER.size:
+            return None
+        (size,) = HEADER.unpack(head)
+        body = self._file.read(size)
+        return unpack(body) if len(body) == size else None

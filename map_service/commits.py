@@ -1,0 +1,102 @@
+"""Commits on their way to the store: off the answer's path, in order, tried again while the store fails."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from map_service.config import CommitConfig
+from map_service.store import FencedError, SessionCommit, Store, StoreError
+from map_service.tally import Tally
+
+_RETRY_FIRST_S = 0.05
+_RETRY_CAP_S = 0.5
+
+
+class Committer:
+    """One thread that writes for all sessions of a worker: an fsync must not stop the pipeline thread."""
+
+    def __init__(self, store: Store, config: CommitConfig, tally: Tally) -> None:
+        self._store, self._config, self._tally = store, config, tally
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="commit")
+
+    def log(self, key: int, epoch: int, last_seq: int) -> CommitLog:
+        return CommitLog(self, self._config, key, epoch, last_seq)
+
+    def submit(self, log: CommitLog, epoch: int, entry: SessionCommit) -> Future[None]:
+        return self._thread.submit(self._write, log, epoch, entry)
+
+    def _write(self, log: CommitLog, epoch: int, entry: SessionCommit) -> None:
+        if log.broken:
+            raise StoreError("an earlier commit of this session has failed")
+        start_s = time.monotonic()
+        try:
+            self._write_with_retries(log.key, epoch, entry, start_s + self._config.retry_s)
+        except FencedError:
+            log.broken = True
+            self._tally.count("commits", "fenced")
+            raise
+        except BaseException:
+            log.broken = True
+            self._tally.count("commits", "failed")
+            raise
+        self._tally.count("commits", "ok")
+        self._tally.observe("commit_seconds", time.monotonic() - start_s)
+        for factor in entry.commit.factors:
+            if factor.kind in ("loop", "gnss"):
+                self._tally.count("loops" if factor.kind == "loop" else "gnss", "factor")
+
+    def _write_with_retries(self, key: int, epoch: int, entry: SessionCommit, until_s: float) -> None:
+        wait_s = _RETRY_FIRST_S
+        while True:
+            try:
+                return self._store.commit(key, epoch, entry)
+            except StoreError:
+                if time.monotonic() + wait_s > until_s:
+                    raise
+            time.sleep(wait_s)
+            wait_s = min(2 * wait_s, _RETRY_CAP_S)
+
+
+class CommitLog:
+    """Where one session stands: applied by its thread, taken into a commit, durable in the store."""
+
+    def __init__(self, committer: Committer, config: CommitConfig, key: int, epoch: int, last_seq: int) -> None:
+        self.key, self.epoch = key, epoch
+        self.applied_seq = self.taken_seq = self.durable_seq = last_seq
+        self.broken = False
+        self._committer, self._config = committer, config
+        self._pending: deque[tuple[int, Future[None]]] = deque()
+        self._taken_s = time.monotonic()
+
+    @property
+    def waiting(self) -> bool:
+        return bool(self._pending)
+
+    def due(self) -> bool:
+        """By time or by number of frames, also when the robot stands."""
+        new = self.applied_seq - self.taken_seq
+        if new == 0:
+            return False
+        return new >= self._config.every_frames or time.monotonic() - self._taken_s >= self._config.every_s
+
+    def put(self, entry: SessionCommit) -> None:
+        """Hand over everything from taken_seq to applied_seq."""
+        self.taken_seq = entry.commit.last_seq
+        self._taken_s = time.monotonic()
+        self._pending.append((self.taken_seq, self._committer.submit(self, self.epoch, entry)))
+
+    def collect(self) -> None:
+        """Take note of what has become durable. Raises FencedError or StoreError of a commit that failed."""
+        while self._pending and self._pending[0][1].done():
+            seq, future = self._pending.popleft()
+            future.result()
+            self.durable_seq = seq
+
+    def flush(self) -> None:
+        """Wait for everything handed over. Raises as `collect`."""
+        while self._pending:
+            seq, future = self._pending.popleft()
+            future.result()
+            self.durable_seq = seq

@@ -1,0 +1,75 @@
+"""Configuration of the map service: YAML, environment (SPLITSLAM_MAP__...), options; defaults run as they are."""
+
+from __future__ import annotations
+
+import os
+from typing import Literal
+
+from pydantic import Field
+
+from map_service.settings import PipelineSettings
+from splitslam.config import Model
+
+ENV_PREFIX = "SPLITSLAM_MAP"
+
+
+class MetricsConfig(Model):
+    """Where /metrics is served."""
+
+    host: str = "127.0.0.1"
+    port: int | None = Field(default=9465, ge=0, le=65535, description="0: a free port; null: no metrics")
+
+
+class LogConfig(Model):
+    """Log lines on stderr."""
+
+    format: Literal["console", "json"] = "console"
+    level: Literal["debug", "info", "warning", "error"] = "info"
+
+
+class LimitsConfig(Model):
+    """Everything that waits is bounded."""
+
+    window_frames: int = Field(default=16, ge=2, le=1024, description="frames a robot may have unanswered")
+    worker_queue_messages: int = Field(default=256, ge=4)
+    max_message_bytes: int = Field(default=4 << 20, ge=1 << 16)
+    max_streams: int = Field(default=256, ge=1, description="streams open at once; more are refused: overloaded")
+    held_sessions: int = Field(default=64, ge=1, description="sessions a worker keeps in memory without a stream")
+    idle_s: float = Field(default=600.0, gt=0, description="how long a worker keeps a session without a stream")
+    hello_s: float = Field(default=5.0, gt=0, description="how long a new stream may take to say Hello")
+    silent_s: float = Field(default=5.0, gt=0, description="a worker without a sign of life is killed and restarted")
+    stall_s: float = Field(default=30.0, gt=0, description="the same for one that works on a single job this long")
+
+
+class AdviceConfig(Model):
+    """Wishes sent to every robot."""
+
+    max_kbps: int = Field(default=0, ge=0, description="uplink limit; 0: none")
+
+
+class CommitConfig(Model):
+    """When a session is committed besides at each keyframe."""
+
+    every_s: float = Field(default=1.0, gt=0)
+    every_frames: int = Field(default=20, ge=1)
+    retry_s: float = Field(default=5.0, ge=0, description="how long a failing store is tried before streams are ended")
+
+
+class ServiceConfig(Model):
+    """`map-service serve`."""
+
+    listen: str = "127.0.0.1:50051"
+    store: str = Field(default="sqlite:///splitslam-map.db", description="SQLAlchemy URL")
+    workers: int = Field(default=0, ge=0, le=256, description="worker processes; 0: one a core, less one")
+    loop_workers: int = Field(default=1, ge=1, le=64, description="processes a worker verifies loops with")
+    drain_s: float = Field(default=8.0, gt=0, le=9.0, description="longest graceful drain; the process is gone in 10 s")
+    metrics: MetricsConfig = MetricsConfig()
+    log: LogConfig = LogConfig()
+    limits: LimitsConfig = LimitsConfig()
+    commit: CommitConfig = CommitConfig()
+    advice: AdviceConfig = AdviceConfig()
+    pipeline: PipelineSettings = PipelineSettings()
+
+    @property
+    def worker_count(self) -> int:
+        return self.workers or max(1, (os.cpu_count() or 2) - 1)

@@ -1,0 +1,62 @@
+"""Loop verification outside the hot path: a small pool of processes, started at the first candidate."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+from map_service.loops import LoopJob, LoopResult, verify
+from map_service.processes import cpu_ns, follow_parent
+
+_log = logging.getLogger(__name__)
+
+
+class LoopPool:
+    """A LoopVerifier; shared by the sessions of one worker."""
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._pool: ProcessPoolExecutor | None = None
+        self._ended_ns = 0
+
+    def submit(self, job: LoopJob) -> Future[LoopResult]:
+        """The future of `verify(job)`. It never fails: a job whose process died is a rejected loop, "failed"."""
+        try:
+            inner = self._running().submit(verify, job)
+        except BrokenProcessPool:
+            self._ended_ns = self.cpu_ns()
+            self._pool = None
+            inner = self._running().submit(verify, job)
+        outer: Future[LoopResult] = Future()
+        inner.add_done_callback(lambda done: outer.set_result(_result(job, done)))
+        return outer
+
+    def _running(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                self._workers,
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=follow_parent,
+                initargs=(os.getpid(),),
+            )
+        return self._pool
+
+    def cpu_ns(self) -> int:
+        """CPU time of the pool's processes so far."""
+        processes = getattr(self._pool, "_processes", None) or {}  # the executor does not say its pids otherwise
+        return self._ended_ns + sum(cpu_ns(pid) for pid in list(processes))
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+def _result(job: LoopJob, done: Future[LoopResult]) -> LoopResult:
+    if not done.cancelled() and done.exception() is None:
+        return done.result()
+    _log.error("loop verification failed", extra={"fields": {"older": job.older, "newer": job.newer}})
+    return LoopResult(job.older, job.newer, job.T_older_newer, False, "failed", 0.0, float("inf"))

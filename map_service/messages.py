@@ -1,0 +1,64 @@
+"""Between protobuf messages and the records of the pipeline."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from map_service.types import MapAnswer
+from splitslam import se3
+from splitslam.scan import GnssFix
+from splitslam.wire import session_pb2 as pb
+from splitslam.wire import types_pb2 as types_pb
+
+
+def transform_to_wire(T: np.ndarray) -> types_pb.Transform:
+    """(4, 4) -> Transform."""
+    qx, qy, qz, qw = (float(v) for v in se3.quat_from_matrix(T[:3, :3]))
+    tx, ty, tz = (float(v) for v in T[:3, 3])
+    return types_pb.Transform(tx_m=tx, ty_m=ty, tz_m=tz, qx=qx, qy=qy, qz=qz, qw=qw)
+
+
+def stamped_pose(seq: int, stamp_ns: int, T: np.ndarray) -> types_pb.StampedPose:
+    return types_pb.StampedPose(seq=seq, stamp_ns=stamp_ns, pose=transform_to_wire(T))
+
+
+def odometry(answer: MapAnswer) -> pb.Odometry:
+    """The pipeline's answer; applied_seq, durable_seq and map_version are the session's to fill."""
+    message = pb.Odometry(
+        seq=answer.seq,
+        stamp_ns=answer.stamp_ns,
+        pose_map_lidar=transform_to_wire(answer.T_map_lidar),
+        pose_map_odom=transform_to_wire(answer.T_map_odom),
+        covariance=answer.covariance.ravel().tolist(),
+        state=int(answer.state),  # type: ignore[arg-type]
+        degenerate_axes=np.asarray(answer.degenerate_axes, dtype=float).ravel().tolist(),
+        keyframe=answer.keyframe,
+    )
+    if answer.correction is not None:
+        message.correction.cause = int(answer.correction.cause)  # type: ignore[assignment]
+        message.correction.translation_m = answer.correction.translation_m
+        message.correction.rotation_rad = answer.correction.rotation_rad
+    return message
+
+
+def fixes_from_wire(messages: list[types_pb.GnssFix]) -> tuple[list[GnssFix], int]:
+    """Fixes that can be used, and how many could not."""
+    fixes = [_fix(m) for m in messages if _usable(m)]
+    return fixes, len(messages) - len(fixes)
+
+
+def _usable(m: types_pb.GnssFix) -> bool:
+    values = [m.latitude_deg, m.longitude_deg, m.altitude_m, *m.covariance_enu_m2]
+    return (
+        all(math.isfinite(v) for v in values)
+        and abs(m.latitude_deg) <= 90
+        and abs(m.longitude_deg) <= 180
+        and len(m.covariance_enu_m2) in (0, 9)
+    )
+
+
+def _fix(m: types_pb.GnssFix) -> GnssFix:
+    covariance = np.array(m.covariance_enu_m2).reshape(3, 3) if m.covariance_enu_m2 else None
+    return GnssFix(m.stamp_ns, m.latitude_deg, m.longitude_deg, m.altitude_m, covariance, m.status)

@@ -1,0 +1,357 @@
+"""The write side of the store: sessions are opened with a new epoch, commits are atomic and fenced.
+
+The epoch is what makes one owner: opening a stream adds one, and a commit by an older epoch is refused.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from sqlalchemy import Connection, Engine, bindparam, delete, insert, select, update
+from sqlalchemy.exc import DBAPIError, IntegrityError
+
+from map_service import schema
+from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord, Snapshot
+from splitslam import se3
+
+_FRAME_ROW_BYTES = 3 * 56 + 40
+
+
+class FencedError(Exception):
+    """Another owner has opened the session since, or it is gone: nothing was written."""
+
+
+class FinishedError(Exception):
+    """The session has ended and is read-only."""
+
+
+class StoreError(Exception):
+    """The store does not answer or refused the write; it may work later."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What a session is opened with; all but the ids is kept from the first opening."""
+
+    session_id: str
+    robot_id: str
+    run_id: str
+    site_id: str
+    map_id: str
+    robot_file: str
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedSession:
+    """A session as its new owner finds it. `statistics` is the JSON text of the last commit, or ""."""
+
+    key: int
+    epoch: int
+    last_seq: int
+    statistics: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredAnswer:
+    """The answer a frame was given. Transforms (4, 4) float64, None for a rejected frame."""
+
+    seq: int
+    stamp_ns: int
+    state: int
+    T_map_lidar: np.ndarray | None
+    T_map_odom: np.ndarray | None
+    rejected: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionCommit:
+    """The pipeline's commit, and what the session itself knows of the same frames.
+
+    T_map_odom: (4, 4) by seq, of every frame in `commit`. rejected: (seq, stamp_ns, reason).
+    """
+
+    commit: Commit
+    T_map_odom: dict[int, np.ndarray]
+    rejected: list[tuple[int, int, str]] = field(default_factory=list)
+    statistics: str = ""
+    finished: bool = False
+
+    @property
+    def bytes(self) -> int:
+        """Size of what it adds to the store, without the database's own overhead."""
+        return (
+            sum(len(k.cloud) + 56 for k in self.commit.keyframes)
+            + sum(len(f.payload) for f in self.commit.factors)
+            + _FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
+        )
+
+
+def pack_pose(T: np.ndarray) -> bytes:
+    """(4, 4) -> 56 bytes: x y z, qx qy qz qw, little-endian float64."""
+    return np.concatenate([T[:3, 3], se3.quat_from_matrix(T[:3, :3])]).astype("<f8").tobytes()
+
+
+def unpack_pose(data: bytes) -> np.ndarray:
+    """56 bytes -> (4, 4)."""
+    values = np.frombuffer(data, "<f8")
+    return se3.from_quat(values[:3], values[3:])
+
+
+class Store:
+    """One engine in one process. Every method raises StoreError when the database fails."""
+
+    def __init__(self, url: str) -> None:
+        self.engine: Engine = schema.open_engine(url)
+        self._writer = self.engine.execution_options(write=True)
+
+    def close(self) -> None:
+        self.engine.dispose()
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        try:
+            with self.engine.connect() as connection:
+                yield connection
+        except DBAPIError as error:
+            raise StoreError(str(error.orig)) from error
+
+    @contextmanager
+    def writing(self) -> Iterator[Connection]:
+        try:
+            with self._writer.begin() as connection:
+                yield connection
+        except IntegrityError:
+            raise
+        except DBAPIError as error:
+            raise StoreError(str(error.orig)) from error
+
+    def open_session(self, opening: Opening) -> OpenedSession:
+        """Take the session over: its epoch grows by one. Raises FinishedError for one that has ended."""
+        try:
+            return self._open_session(opening)
+        except IntegrityError:  # another owner inserted it in the same moment: now it is there to be updated
+            return self._open_session(opening)
+
+    def _open_session(self, opening: Opening) -> OpenedSession:
+        t = schema.sessions
+        with self.writing() as connection:
+            taken = connection.execute(
+                update(t)
+                .where(t.c.session_id == opening.session_id, t.c.finished.is_(False))
+                .values(epoch=t.c.epoch + 1)
+            )
+            row = connection.execute(
+                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics).where(t.c.session_id == opening.session_id)
+            ).first()
+            if taken.rowcount == 1 and row is not None:
+                return OpenedSession(*row)
+            if row is not None:
+                raise FinishedError(opening.session_id)
+            key = connection.execute(insert(t).values(**_new_session(opening))).inserted_primary_key
+            assert key is not None
+            return OpenedSession(key[0], 1, 0, "")
+
+    def commit(self, key: int, epoch: int, entry: SessionCommit) -> None:
+        """Write everything or nothing. Raises FencedError when (epoch, previous_seq) is not the store's.
+
+        A commit whose outcome was lost may be tried again: the second time it finds itself done.
+        """
+        with self.writing() as connection:
+            if not self._advance(connection, key, epoch, entry):
+                return
+            _insert_rows(connection, key, entry)
+
+    def _advance(self, connection: Connection, key: int, epoch: int, entry: SessionCommit) -> bool:
+        t, commit = schema.sessions, entry.commit
+        kinds = [factor.kind for factor in commit.factors]
+        stamps = [f.stamp_ns for f in commit.frames] + [stamp_ns for _, stamp_ns, _ in entry.rejected]
+        values = {
+            "last_seq": commit.last_seq,
+            "finished": entry.finished,
+            "frames": t.c.frames + len(commit.frames),
+            "rejected": t.c.rejected + len(entry.rejected),
+            "loops": t.c.loops + kinds.count("loop"),
+            "gnss_factors": t.c.gnss_factors + kinds.count("gnss"),
+            "bytes": t.c.bytes + entry.bytes,
+            "tracker": commit.tracker,
+        }
+        if entry.statistics:
+            values["statistics"] = entry.statistics
+        if stamps:
+            values["last_stamp_ns"] = max(stamps)
+            if commit.previous_seq == 0:
+                values["first_stamp_ns"] = min(stamps)
+        changed = connection.execute(
+            update(t)
+            .where(
+                t.c.id == key, t.c.epoch == epoch, t.c.last_seq == commit.previous_seq, t.c.finished.is_(False)
+            )
+            .values(**values)
+        ).rowcount
+        if changed == 1:
+            return True
+        found = connection.execute(select(t.c.epoch, t.c.last_seq, t.c.finished).where(t.c.id == key)).first()
+        if found is not None and tuple(found) == (epoch, commit.last_seq, entry.finished):
+            return False
+        raise FencedError(f"commit of epoch {epoch} after seq {commit.previous_seq}: the store has {found}")
+
+    def load(self, key: int) -> Snapshot:
+        """Everything MapPipeline.restore needs."""
+        k, c = schema.keyframes, schema.clouds
+        with self.reading() as connection:
+            last_seq, tracker = connection.execute(
+                select(schema.sessions.c.last_seq, schema.sessions.c.tracker).where(schema.sessions.c.id == key)
+            ).one()
+            keyframes = connection.execute(
+                select(k.c.keyframe, k.c.seq, k.c.stamp_ns, k.c.pose_map_lidar, c.c.cloud)
+                .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
+                .where(k.c.session == key)
+                .order_by(k.c.keyframe)
+            ).all()
+            factors = connection.execute(
+                select(schema.factors.c.factor, schema.factors.c.kind, schema.factors.c.payload)
+                .where(schema.factors.c.session == key)
+                .order_by(schema.factors.c.factor)
+            ).all()
+            frames = connection.execute(
+                select(schema.frames)
+                .where(schema.frames.c.session == key, schema.frames.c.rejected == "")
+                .order_by(schema.frames.c.seq)
+            ).all()
+        return Snapshot(
+            last_seq=last_seq,
+            keyframes=[KeyframeRecord(i, seq, ns, unpack_pose(pose), cloud) for i, seq, ns, pose, cloud in keyframes],
+            factors=[FactorRecord(*row) for row in factors],
+            tracker=tracker,
+            frames=[
+                FrameRecord(
+                    row.seq,
+                    row.stamp_ns,
+                    row.keyframe,
+                    unpack_pose(row.pose_keyframe_lidar),
+                    unpack_pose(row.online_map_lidar),
+                    row.state,
+                )
+                for row in frames
+            ],
+        )
+
+    def answers(self, key: int, *, last: int = 0, seq: int = 0) -> list[StoredAnswer]:
+        """The newest `last` answers, or the one of frame `seq`; in seq order."""
+        t = schema.frames
+        query = select(t).where(t.c.session == key).order_by(t.c.seq.desc())
+        query = query.where(t.c.seq == seq) if seq else query.limit(last)
+        with self.reading() as connection:
+            rows = connection.execute(query).all()
+        return [
+            StoredAnswer(
+                row.seq,
+                row.stamp_ns,
+                row.state,
+                None if row.rejected else unpack_pose(row.online_map_lidar),
+                None if row.rejected else unpack_pose(row.online_map_odom),
+                row.rejected,
+            )
+            for row in reversed(rows)
+        ]
+
+
+def _new_session(opening: Opening) -> dict[str, object]:
+    return {
+        "session_id": opening.session_id,
+        "robot_id": opening.robot_id,
+        "run_id": opening.run_id,
+        "site_id": opening.site_id,
+        "map_id": opening.map_id,
+        "robot_file": opening.robot_file,
+        "opened_s": time.time(),
+        "epoch": 1,
+        "last_seq": 0,
+        "finished": False,
+        "first_stamp_ns": 0,
+        "last_stamp_ns": 0,
+        "frames": 0,
+        "rejected": 0,
+        "keyframes": 0,
+        "loops": 0,
+        "gnss_factors": 0,
+        "bytes": 0,
+        "tracker": b"",
+        "statistics": "",
+    }
+
+
+def _insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
+    commit = entry.commit
+    new_keyframes = {k.index: k for k in commit.keyframes}  # one that comes again replaces the one before
+    frame_rows = [
+        {
+            "session": key,
+            "seq": f.seq,
+            "stamp_ns": f.stamp_ns,
+            "state": int(f.state),
+            "keyframe": f.keyframe,
+            "pose_keyframe_lidar": pack_pose(f.T_keyframe_lidar),
+            "online_map_lidar": pack_pose(f.T_map_lidar_online),
+            "online_map_odom": pack_pose(entry.T_map_odom[f.seq]),
+            "rejected": "",
+        }
+        for f in commit.frames
+    ] + [
+        {
+            "session": key,
+            "seq": seq,
+            "stamp_ns": stamp_ns,
+            "state": 0,
+            "keyframe": None,
+            "pose_keyframe_lidar": None,
+            "online_map_lidar": None,
+            "online_map_odom": None,
+            "rejected": reason[:64],
+        }
+        for seq, stamp_ns, reason in entry.rejected
+    ]
+    keyframe_rows = [
+        {
+            "session": key,
+            "keyframe": k.index,
+            "seq": k.seq,
+            "stamp_ns": k.stamp_ns,
+            "pose_map_lidar": pack_pose(k.T_map_lidar),
+        }
+        for k in new_keyframes.values()
+    ]
+    cloud_rows = [{"session": key, "keyframe": k.index, "cloud": k.cloud} for k in new_keyframes.values()]
+    factor_rows = [{"session": key, "factor": f.index, "kind": f.kind, "payload": f.payload} for f in commit.factors]
+    if new_keyframes:
+        _make_room(connection, key, list(new_keyframes))
+    for table, rows in (
+        (schema.frames, frame_rows),
+        (schema.keyframes, keyframe_rows),
+        (schema.clouds, cloud_rows),
+        (schema.factors, factor_rows),
+    ):
+        if rows:
+            connection.execute(insert(table), rows)
+    if commit.keyframe_poses:
+        t = schema.keyframes
+        connection.execute(
+            update(t).where(t.c.session == key, t.c.keyframe == bindparam("index")).values(pose_map_lidar=bindparam("pose")),
+            [{"index": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses],
+        )
+
+
+def _make_room(connection: Connection, key: int, indices: list[int]) -> None:
+    """Remove what the keyframes replace, and count those that are new."""
+    for table in (schema.clouds, schema.keyframes):
+        replaced = connection.execute(
+            delete(table).where(table.c.session == key, table.c.keyframe.in_(indices))
+        ).rowcount
+    t = schema.sessions
+    connection.execute(
+        update(t).where(t.c.id == key).values(keyframes=t.c.keyframes + len(indices) - replaced)
+    )

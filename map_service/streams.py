@@ -1,0 +1,71 @@
+"""One robot's stream as the front sees it, between the gRPC call and the worker."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import grpc
+
+from splitslam.wire import session_pb2 as pb
+
+_MAX_QUEUED = 64  # beyond it a robot that does not read gets no more credits
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The stream ends; status None: well."""
+
+    status: grpc.StatusCode | None = None
+    detail: str = ""
+
+
+class RobotStream:
+    """Answers on their way out, and how many frames are still unanswered."""
+
+    def __init__(self, number: int, session_id: str, window: int) -> None:
+        self.number, self.session_id, self.window = number, session_id, window
+        self.outbox: asyncio.Queue[bytes | End] = asyncio.Queue()
+        self.durable_seq = 0
+        self.ended = False
+        self._slots = asyncio.Semaphore(window)
+        self._received_s: deque[float] = deque()
+
+    @property
+    def unanswered(self) -> int:
+        return len(self._received_s)
+
+    async def admit(self) -> None:
+        """Wait until the window has room: a robot that sends more than its credit is not read any further."""
+        await self._slots.acquire()
+        self._received_s.append(time.monotonic())
+
+    def put(self, body: bytes) -> None:
+        if not self.ended:
+            self.outbox.put_nowait(body)
+
+    def put_answer(self, body: bytes) -> float | None:
+        """Returns how long the frame took since it was received, s."""
+        self.put(body)
+        if not self._received_s:
+            return None
+        self._slots.release()
+        return time.monotonic() - self._received_s.popleft()
+
+    def put_message(self, message: pb.StreamResponse) -> None:
+        self.put(message.SerializeToString())
+
+    def credit(self, durable_seq: int) -> None:
+        """Sign of life."""
+        self.durable_seq = durable_seq
+        if self.outbox.qsize() < _MAX_QUEUED:
+            credit = pb.Credit(window=self.window, durable_seq=durable_seq)
+            self.put_message(pb.StreamResponse(credit=credit))
+
+    def end(self, status: grpc.StatusCode | None = None, detail: str = "") -> None:
+        """After what is queued."""
+        if not self.ended:
+            self.ended = True
+            self.outbox.put_nowait(End(status, detail))

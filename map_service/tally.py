@@ -1,0 +1,54 @@
+"""Counters of a worker on their way to the front, and summaries of times."""
+
+from __future__ import annotations
+
+import threading
+from array import array
+from collections import Counter
+
+import numpy as np
+
+
+class Tally:
+    """What has happened since it was last taken; any thread may add."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counts: Counter[tuple[str, ...]] = Counter()
+        self._observations: list[tuple[str, float]] = []
+
+    def count(self, metric: str, *labels: str, by: float = 1) -> None:
+        with self._lock:
+            self._counts[(metric, *labels)] += by  # type: ignore[assignment]
+
+    def observe(self, metric: str, value: float) -> None:
+        with self._lock:
+            self._observations.append((metric, value))
+
+    def take(self) -> tuple[dict[tuple[str, ...], float], list[tuple[str, float]]]:
+        with self._lock:
+            taken = dict(self._counts), self._observations
+            self._counts, self._observations = Counter(), []
+            return taken
+
+
+class Times:
+    """Durations of one stage over a session, ms; 4 bytes each."""
+
+    def __init__(self) -> None:
+        self._values_ms = array("f")
+
+    def add_ns(self, duration_ns: int) -> None:
+        self._values_ms.append(duration_ns * 1e-6)
+
+    def summary(self) -> dict[str, float]:
+        """{mean, std, p50, p99, max}, ms; zeros when empty."""
+        values = np.array(self._values_ms, dtype=float) if self._values_ms else np.zeros(1)
+        p50, p99 = np.percentile(values, (50, 99))
+        return {
+            "mean": float(values.mean()),
+            "std": float(values.std()),
+            "p50": float(p50),
+            "p99": float(p99),
+            "max": float(values.max()),
+        }

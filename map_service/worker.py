@@ -1,0 +1,110 @@
+"""A worker process: one thread runs the pipelines of all sessions pinned to it.
+
+Threads besides: a reader that turns the socket into a bounded queue, one that gives signs of life, one that
+commits. The worker ends with its front: the kernel kills it, and the socket's end does if that should fail.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import socket
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from map_service.channel import Beat, Close, DrainAll, Drained, Ready, WorkerEnd
+from map_service.config import ServiceConfig
+from map_service.engine import load_engine
+from map_service.host import SessionHost
+from map_service.processes import follow_parent
+from map_service.store import Store
+from splitslam.logs import configure_logs
+
+BEAT_S = 0.5
+_IDLE_S, _COMMITTING_S = 0.25, 0.02
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerSpec:
+    """What a worker process is started with. engine: dotted path `module:Class`."""
+
+    index: int
+    config: ServiceConfig
+    engine: str
+    front_pid: int
+
+
+def worker_main(spec: WorkerSpec, sock: socket.socket) -> None:
+    """Entry point of the process."""
+    follow_parent(spec.front_pid)
+    configure_logs(spec.config.log.format, spec.config.log.level)
+    code = 1
+    try:
+        engine = load_engine(spec.engine, spec.config.pipeline, spec.config.loop_workers)
+        engine.warm_up()
+        end = WorkerEnd(sock)
+        host = SessionHost(spec.config, engine, Store(spec.config.store), end.send)
+        Worker(host, end, spec.config.limits.worker_queue_messages).run()
+        engine.close()
+        code = 0
+    except Exception:
+        _log.exception("worker failed", extra={"fields": {"worker": spec.index}})
+    os._exit(code)  # without the executors' exit handlers: they would wait for a loop job
+
+
+class Worker:
+    """The threads around a SessionHost."""
+
+    def __init__(self, host: SessionHost, end: WorkerEnd, queue_messages: int) -> None:
+        self._host, self._end = host, end
+        self._queue: queue.Queue[Any] = queue.Queue(queue_messages)
+        self._job_since_s: float | None = None
+
+    def run(self) -> None:
+        """Serve until drained. Raises OSError when the front is gone."""
+        self._end.send(Ready(os.getpid()))
+        for target in (self._read, self._beat):
+            threading.Thread(target=target, daemon=True, name=target.__name__).start()
+        message: Any = None
+        while not isinstance(message, DrainAll):
+            message = self._next()
+            self._job_since_s = time.monotonic()
+            if message is not None:
+                self._host.handle(message)
+            self._host.look_after()
+            self._job_since_s = None
+        self._host.drain()
+        self._end.send(self._beat_now())
+        self._end.send(Drained(self._host.durable()))
+
+    def _next(self) -> Any | None:
+        try:
+            return self._queue.get(timeout=_COMMITTING_S if self._host.committing else _IDLE_S)
+        except queue.Empty:
+            return None
+
+    def _read(self) -> None:
+        while (message := self._end.receive()) is not None:
+            if isinstance(message, Close):
+                self._host.closed.add(message.stream)
+            self._queue.put(message)
+        os._exit(1)  # the front is gone
+
+    def _beat(self) -> None:
+        try:
+            while True:
+                time.sleep(BEAT_S)
+                self._end.send(self._beat_now())
+        except OSError:
+            os._exit(1)
+
+    def _beat_now(self) -> Beat:
+        host, since_s = self._host, self._job_since_s
+        counts, observations = host.tally.take()
+        busy_s = 0.0 if since_s is None else time.monotonic() - since_s
+        return Beat(counts, observations, busy_s, host.durable(), host.states(), host.take_released())

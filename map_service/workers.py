@@ -1,0 +1,234 @@
+"""The front's worker processes: started by `spawn`, watched, restarted; sessions pinned to them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import multiprocessing
+import os
+import socket
+import time
+from typing import Any
+
+import grpc
+
+from map_service import channel
+from map_service.channel import Abort, Beat, Close, DrainAll, Drained, Forget, Open, Ready, Reply, Request
+from map_service.config import ServiceConfig
+from map_service.metrics import ServiceMetrics
+from map_service.streams import RobotStream
+from map_service.worker import WorkerSpec, worker_main
+
+_RESTART_CAP_S = 5.0
+_WATCH_S = 0.5
+
+_log = logging.getLogger(__name__)
+
+
+class WorkerProcess:
+    """One worker: its process, its socket, the streams it serves."""
+
+    def __init__(self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
+        self.index = index
+        self.ready = asyncio.Event()
+        self.streams: dict[int, RobotStream] = {}
+        self.pinned: set[str] = set()
+        self.drained = False
+        self.beat_s = self.started_s = time.monotonic()
+        self._config, self._metrics = config, metrics
+        ours, theirs = socket.socketpair()
+        self._sock = ours
+        spec = WorkerSpec(index, config, engine, os.getpid())
+        # never a daemon: it has children of its own
+        self.process = multiprocessing.get_context("spawn").Process(target=worker_main, args=(spec, theirs))
+        self.process.start()
+        theirs.close()
+
+    async def run(self) -> None:
+        """Take its messages until it ends."""
+        reader, self._writer = await asyncio.open_unix_connection(sock=self._sock)
+        try:
+            while True:
+                (size,) = channel.HEADER.unpack(await reader.readexactly(channel.HEADER.size))
+                self._take(channel.unpack(await reader.readexactly(size)))
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            self.ready.clear()
+            self._writer.close()
+
+    async def send(self, message: Any) -> None:
+        """Waits while the worker's queue is full; a worker that has died loses it (its streams are ended)."""
+        try:
+            self._writer.write(channel.pack(message))
+            await self._writer.drain()
+        except ConnectionError:
+            pass
+
+    def _take(self, message: Any) -> None:
+        match message:
+            case Reply():
+                self._reply(message)
+            case Abort():
+                if stream := self.streams.get(message.stream):
+                    stream.end(grpc.StatusCode[message.status], message.detail)
+            case Beat():
+                self.beat_s = time.monotonic()
+                self._metrics.absorb(self.index, message)
+                self._metrics.queue_depth.labels(str(self.index)).set(self.unanswered)
+                self._credit(message.durable)
+                self.pinned.difference_update(message.released)
+                if message.busy_s > self._config.limits.stall_s:
+                    self.kill(f"busy with one job for {message.busy_s:.0f} s")
+            case Ready():
+                self.beat_s = time.monotonic()
+                self.ready.set()
+                _log.info("worker ready", extra={"fields": {"worker": self.index, "pid": message.pid}})
+            case Drained():
+                self.drained = True
+                self._credit(message.durable)
+
+    def _reply(self, message: Reply) -> None:
+        stream = self.streams.get(message.stream)
+        if stream is None:
+            return
+        if message.answer:
+            if (seconds := stream.put_answer(message.body)) is not None:
+                self._metrics.answer_seconds.observe(seconds)
+        else:
+            stream.put(message.body)
+        if message.last:
+            stream.end()
+
+    def _credit(self, durable: dict[int, int]) -> None:
+        for number, durable_seq in durable.items():
+            if stream := self.streams.get(number):
+                stream.credit(durable_seq)
+
+    @property
+    def unanswered(self) -> int:
+        return sum(stream.unanswered for stream in self.streams.values())
+
+    def kill(self, why: str) -> None:
+        _log.error("worker killed", extra={"fields": {"worker": self.index, "why": why}})
+        self.process.kill()
+
+
+class WorkerPool:
+    """All workers. A session stays with its worker while that holds it in memory."""
+
+    def __init__(self, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
+        self._config, self._engine, self._metrics = config, engine, metrics
+        self._workers: list[WorkerProcess] = []
+        self._tasks: list[asyncio.Task[None]] = []
+        self._draining = False
+        self._numbers = 0
+
+    async def start(self) -> None:
+        """Start all and wait until they are warm. Raises RuntimeError when one cannot start."""
+        for index in range(self._config.worker_count):
+            self._workers.append(WorkerProcess(index, self._config, self._engine, self._metrics))
+            self._tasks.append(asyncio.create_task(self._keep(index)))
+        self._tasks.append(asyncio.create_task(self._watch()))
+        await asyncio.gather(*(self._until_ready(worker) for worker in self._workers))
+
+    async def _until_ready(self, worker: WorkerProcess) -> None:
+        while not worker.ready.is_set():
+            if not worker.process.is_alive():
+                raise RuntimeError(f"worker {worker.index} ended at its start, exit code {worker.process.exitcode}")
+            await asyncio.sleep(0.02)
+
+    async def _keep(self, index: int) -> None:
+        """Run one worker, and the next one when it dies."""
+        failures = 0
+        while True:
+            worker = self._workers[index]
+            await worker.run()
+            await asyncio.to_thread(worker.process.join)
+            self._end_streams(worker)
+            if self._draining:
+                return
+            self._metrics.restarts.inc()
+            self._metrics.forget_worker(index)
+            _log.error("worker died", extra={"fields": {"worker": index, "exit_code": worker.process.exitcode}})
+            failures = 0 if time.monotonic() - worker.started_s > 10 else failures + 1
+            await asyncio.sleep(min(0.1 * 2**failures, _RESTART_CAP_S) if failures else 0)
+            self._workers[index] = WorkerProcess(index, self._config, self._engine, self._metrics)
+
+    def _end_streams(self, worker: WorkerProcess) -> None:
+        detail = "draining: reconnect" if self._draining else "the worker of this session has died: reconnect"
+        for stream in worker.streams.values():
+            stream.end(grpc.StatusCode.UNAVAILABLE, detail)
+
+    async def _watch(self) -> None:
+        """A worker that gives no sign of life is as good as dead."""
+        while True:
+            await asyncio.sleep(_WATCH_S)
+            for worker in self._workers:
+                silent_s = time.monotonic() - worker.beat_s
+                if worker.ready.is_set() and silent_s > self._config.limits.silent_s and not worker.drained:
+                    worker.kill(f"silent for {silent_s:.1f} s")
+                    worker.beat_s = time.monotonic()
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    @property
+    def streams(self) -> list[RobotStream]:
+        return [stream for worker in self._workers for stream in worker.streams.values()]
+
+    def _assign(self, session_id: str) -> WorkerProcess:
+        for worker in self._workers:
+            if session_id in worker.pinned and worker.process.is_alive():
+                return worker
+        for worker in self._workers:
+            worker.pinned.discard(session_id)
+        return min(self._workers, key=lambda w: (not w.ready.is_set(), len(w.streams), len(w.pinned), w.index))
+
+    async def open(self, session_id: str, hello: bytes) -> tuple[WorkerProcess, RobotStream]:
+        """Waits for a worker when all are being restarted."""
+        while not (worker := self._assign(session_id)).ready.is_set():
+            await asyncio.sleep(0.02)
+        self._numbers += 1
+        stream = RobotStream(self._numbers, session_id, self._config.limits.window_frames)
+        worker.streams[stream.number] = stream
+        worker.pinned.add(session_id)
+        await worker.send(Open(stream.number, session_id, hello))
+        return worker, stream
+
+    async def request(self, worker: WorkerProcess, stream: RobotStream, body: bytes) -> None:
+        await worker.send(Request(stream.number, body, time.process_time_ns()))
+
+    async def close(self, worker: WorkerProcess, stream: RobotStream) -> None:
+        worker.streams.pop(stream.number, None)
+        await worker.send(Close(stream.number))
+
+    async def forget(self, session_id: str) -> None:
+        """The session was deleted."""
+        for worker in self._workers:
+            if session_id in worker.pinned:
+                await worker.send(Forget(session_id))
+
+    def is_open(self, session_id: str) -> bool:
+        return any(stream.session_id == session_id for stream in self.streams)
+
+    # -- end ----------------------------------------------------------------------------------------------------
+
+    async def drain(self) -> None:
+        """Let every worker answer what is queued, commit and exit; kill those that take longer than drain_s."""
+        self._draining = True
+        for worker in self._workers:
+            if worker.ready.is_set():
+                await worker.send(DrainAll())
+            else:
+                worker.process.kill()
+        keepers = self._tasks[:-1]
+        await asyncio.wait(keepers, timeout=self._config.drain_s)
+        self.kill()
+        await asyncio.wait(keepers, timeout=1.0)
+        self._tasks[-1].cancel()
+
+    def kill(self) -> None:
+        """No process stays behind."""
+        for worker in self._workers:
+            if worker.process.is_alive():
+                worker.kill("not drained in time")
