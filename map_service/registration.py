@@ -91,10 +91,11 @@ class Registration:
         reach_m = prediction.velocity_sigma_mps * dt + s.lever_m * prediction.rate_sigma_radps * dt
         gate_m = min(s.gate_start_m + s.gate_sigmas * reach_m, s.gate_limit_m)
         converged, iterations, damping = False, 0, s.damping
-        H, b, fit = np.zeros((6, 6)), np.zeros(6), _Fit(0.0, 0, 0.0, 0)
+        H, fit, axes = np.zeros((6, 6)), _Fit(0.0, 0, 0.0, 0), np.zeros((0, 6))
         noise = np.array([s.point_sigma_m, s.robust_sigmas])
         for iterations in range(1, s.max_iterations + 1):
-            H, b, fit = _normal_equations(classes, T, gate_m, noise)
+            H_all, b, fit = _normal_equations(classes, T, gate_m, noise)
+            H, b, axes = self._observed(H_all, b, fit)
             xi_prior = se3.log(se3.inv(prediction.T_local_lidar) @ T)
             H_total = H + prediction.information
             b_total = b - prediction.information @ xi_prior
@@ -111,12 +112,33 @@ class Registration:
                 converged = True
                 break
             gate_m = max(s.gate_end_m, 0.6 * gate_m)
-        return self._result(T, H, prediction, converged, iterations, fit, classes, delta)
+        return self._result(T, H, axes, prediction, converged, iterations, fit, classes, delta)
+
+    def _trust(self, fit: _Fit) -> float:
+        """Neighbouring residuals are correlated (same plane, same laser): features count for less than they are."""
+        return 1.0 / (self.settings.correlation * max(fit.error**2, 0.25))
+
+    def _observed(self, H: Array, b: Array, fit: _Fit) -> tuple[Array, Array, Array]:
+        """H and b without the directions that the features do not observe, and those directions (A, 6).
+
+        Solution remapping, Zhang et al., "On degeneracy of optimization-based state estimation problems", 2016, with
+        the eigenvalues as information in metres at a lever arm, so that the threshold is a position's sigma.
+        """
+        s = self.settings
+        values, vectors = np.linalg.eigh(H * self._trust(fit) / np.outer(s.scale, s.scale))
+        weak = values < s.degenerate_information
+        if not weak.any():
+            return H, b, np.zeros((0, 6))
+        # xi * scale = metres: keep only its components along the strong eigenvectors
+        keep = np.diag(1 / s.scale) @ (np.eye(6) - vectors[:, weak] @ vectors[:, weak].T) @ np.diag(s.scale)
+        axes = (vectors[:, weak] / s.scale[:, None]).T
+        return keep.T @ H @ keep, keep.T @ b, axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
     def _result(
         self,
         T: Array,
         H: Array,
+        axes: Array,
         prediction: Prediction,
         converged: bool,
         iterations: int,
@@ -124,15 +146,7 @@ class Registration:
         classes: tuple[_Class, _Class],
         delta: Array,
     ) -> RegistrationResult:
-        s = self.settings
-        error = float(np.sqrt(fit.squares / max(fit.inliers, 1)))
-        # neighbouring residuals are correlated (same plane, same laser): the features count for less than they are
-        information = H / (s.correlation * max(error * error, 0.25))
-        values, vectors = np.linalg.eigh(information / np.outer(s.scale, s.scale))
-        weak = values < s.degenerate_information
-        axes = (vectors[:, weak] / s.scale[:, None]).T if weak.any() else np.zeros((0, 6))
-        if len(axes):
-            axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        information = H * self._trust(fit)
         features = sum(len(c.points_lidar) for c in classes)
         return RegistrationResult(
             T_local_lidar=se3.orthonormalised(T),
@@ -143,7 +157,7 @@ class Registration:
             matched=fit.matched,
             inliers=fit.inliers,
             features=features,
-            error=error,
+            error=fit.error,
             degenerate_axes=axes,
             delta_twist=delta,
         )
@@ -155,6 +169,11 @@ class _Fit:
     inliers: int
     squares: float
     matched: int
+
+    @property
+    def error(self) -> float:
+        """RMS of the inliers' residuals in sigmas."""
+        return float(np.sqrt(self.squares / max(self.inliers, 1)))
 
 
 class _Class:

@@ -44,8 +44,8 @@ class RegistrationSettings(Model):
     position_sigma_m: float = 0.01
     converged_m: float = 2e-4
     converged_rad: float = 2e-5
-    degenerate_information: float = 1e4
-    lever_m: float = Field(default=10.0, description="rotation counts as this lever arm when axes are compared")
+    degenerate_information: float = 400.0
+    lever_m: float = Field(default=5.0, description="rotation counts as this lever arm when axes are compared")
 
     @property
     def scale(self) -> np.ndarray:

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from map_service import _kernels as kernels
+from map_service.local_map import VoxelMap
+from map_service.settings import VoxelSettings
+from splitslam import se3
+from tests.map_pipeline.naive import normal_equations, plane_fit, room
+
+PLANES = VoxelSettings(voxel_m=0.5, levels=3)
+
+
+def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
+    return np.floor(points / size).astype(int)
+
+
+def test_every_voxel_of_every_level_holds_the_fit_of_exactly_its_points():
+    rng = np.random.default_rng(1)
+    points, _ = room(rng, 4000, 0.02)
+    voxels = VoxelMap(PLANES, kernels.PLANE)
+    for part in np.array_split(points, 5):  # incremental insertion must not differ from one go
+        voxels.insert(part)
+    live = np.flatnonzero(voxels.keys != -1)
+    expected = {
+        (level, *index) for level in range(3) for index in voxel_index(points, 0.5 * 2**level)
+    }
+    assert len(live) == len(expected)
+    checked = 0
+    for i in live:
+        key = int(voxels.keys[i])
+        level = key >> 60
+        size = 0.5 * 2**level
+        index = np.array([(key >> shift & kernels.MASK) - kernels.BIAS for shift in (40, 20, 0)])
+        inside = points[(voxel_index(points, size) == index).all(axis=1)]
+        assert voxels.moments[i, 0] == len(inside) > 0
+        if voxels.geometry[i, 9] == 0:
+            continue
+        mean, values, vectors = plane_fit(inside)
+        np.testing.assert_allclose(voxels.geometry[i, :3], mean, atol=1e-9)
+        np.testing.assert_allclose(voxels.geometry[i, 6:9], values, atol=1e-9)
+        assert abs(vectors[:, 0] @ voxels.geometry[i, 3:6]) == pytest.approx(1, abs=1e-6)
+        checked += 1
+    assert checked > 100
+
+
+def test_a_line_of_points_is_no_plane_and_a_plane_is_no_line():
+    rng = np.random.default_rng(2)
+    line = np.column_stack([rng.uniform(0.01, 0.49, 50), np.full(50, 0.2), np.full(50, 0.2)])
+    plane = np.column_stack([rng.uniform(0.01, 0.49, (200, 2)), np.full(200, 0.2)])
+    for points, kind, found in (
+        (line, kernels.PLANE, False),
+        (line, kernels.LINE, True),
+        (plane, kernels.PLANE, True),
+        (plane, kernels.LINE, False),
+    ):
+        voxels = VoxelMap(VoxelSettings(levels=1), kind)
+        voxels.insert(points)
+        assert bool((voxels.geometry[:, 9] == kind).any()) is found
+
+
+def test_growing_keeps_what_was_there():
+    rng = np.random.default_rng(3)
+    voxels = VoxelMap(VoxelSettings(levels=1), kernels.PLANE)
+    points = rng.uniform(-200, 200, (60_000, 3))
+    capacity = len(voxels.keys)
+    for part in np.array_split(points, 6):
+        voxels.insert(part)
+    assert len(voxels.keys) > capacity
+    assert voxels.moments[:, 0].sum() == len(points)
+    assert (voxels.keys != -1).sum() == len({tuple(v) for v in voxel_index(points, 0.5)})
+
+
+def test_a_point_is_matched_to_its_own_plane_and_to_none_when_too_far():
+    rng = np.random.default_rng(4)
+    floor = np.column_stack([rng.uniform(-5, 5, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
+    voxels = VoxelMap(PLANES, kernels.PLANE)
+    voxels.insert(floor)
+    queries = np.array([[0.2, 0.2, 0.1], [0.2, 0.2, -0.1], [0.2, 0.2, 0.9], [30.0, 0.0, 0.0]])
+    slots = np.empty(len(queries), np.int64)
+    assert voxels.match(queries, 0.3, slots) == 2
+    assert (slots[:2] >= 0).all()
+    assert (slots[2:] == -1).all()
+    assert abs(voxels.geometry[slots[0], 5]) > 0.99
+
+
+@pytest.mark.parametrize("kind", [kernels.PLANE, kernels.LINE])
+def test_the_normal_equations_equal_their_naive_twin(kind):
+    rng = np.random.default_rng(5)
+    surfs, corners = room(rng, 4000, 0.01)
+    points = surfs if kind == kernels.PLANE else corners
+    voxels = VoxelMap(PLANES if kind == kernels.PLANE else VoxelSettings(levels=2, min_points=5), kind)
+    voxels.insert(points)
+    T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.02]))
+    lidar = (points[::20] - T[:3, 3]) @ T[:3, :3] + rng.normal(0, 0.05, points[::20].shape)
+    local = np.empty_like(lidar)
+    kernels.transform(T, lidar, local)
+    np.testing.assert_allclose(local, lidar @ T[:3, :3].T + T[:3, 3], atol=1e-12)
+    slots = np.empty(len(lidar), np.int64)
+    voxels.match(local, 0.5, slots)
+    hit = slots >= 0
+    assert hit.sum() > 20
+    noise = np.array([0.02, 1.5])
+    H, b = np.zeros((6, 6)), np.zeros(6)
+    kernels.linearise(voxels.geometry, voxels.moments, lidar, T, slots, noise, H, b)
+    g, n = voxels.geometry[slots[hit]], voxels.moments[slots[hit], 0]
+    plane = kind == kernels.PLANE
+    fits = [
+        (n[k], g[k, :3], g[k, 3:6], g[k, 7] if plane else g[k, 8], g[k, 6] if plane else g[k, 7], plane)
+        for k in range(len(g))
+    ]
+    expected_H, expected_b = normal_equations(lidar[hit], T, fits, noise)
+    np.testing.assert_allclose(np.triu(H), np.triu(expected_H), rtol=1e-4, atol=1e-2)
+    np.testing.assert_allclose(b, expected_b, rtol=1e-4, atol=1e-2)
+
+
+def test_eigen_symmetric_equals_lapack():
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        M = rng.normal(size=(3, 3))
+        A = M @ M.T * 10 ** rng.uniform(-6, 2)
+        D, V = A.copy(), np.empty((3, 3))
+        kernels.eigen_symmetric(D, V)
+        np.testing.assert_allclose(np.sort(np.diag(D)), np.linalg.eigvalsh(A), rtol=1e-6, atol=1e-12 * np.trace(A))
+        np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, A, atol=1e-9 * np.trace(A))
