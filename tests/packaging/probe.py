@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import importlib.abc
 import importlib.metadata
+import inspect
 import json
 import pkgutil
 import sys
@@ -17,12 +18,22 @@ def canonical(name: str) -> str:
     return name.lower().replace("_", "-").replace(".", "-")
 
 
+def owners() -> dict[str, set[str]]:
+    """Top-level module -> distributions that install it. (Python 3.11's own mapping misses single-file extensions.)"""
+    found: dict[str, set[str]] = {}
+    for distribution in importlib.metadata.distributions():
+        for path in distribution.files or []:
+            top = path.parts[0] if len(path.parts) > 1 else inspect.getmodulename(path.name)
+            if top and top.isidentifier():
+                found.setdefault(top, set()).add(canonical(distribution.name))
+    return found
+
+
 class Hider(importlib.abc.MetaPathFinder):
     """Makes the packages of distributions that are not allowed look as if they were not installed."""
 
     def __init__(self, allowed: set[str]) -> None:
-        owners = importlib.metadata.packages_distributions()
-        self.hidden = {top for top, dists in owners.items() if not any(canonical(d) in allowed for d in dists)}
+        self.hidden = {top for top, distributions in owners().items() if not distributions & allowed}
 
     def find_spec(self, fullname: str, path: object, target: object = None) -> None:
         if fullname.partition(".")[0] in self.hidden:
