@@ -1,0 +1,105 @@
+"""The agent's configuration: YAML by --config, every key also by environment (SPLITSLAM_EDGE__UPLINK__MAX_KBPS)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from edge_agent.imu.settings import ImuSettings
+from edge_agent.settings import PipelineSettings
+from splitslam.config import Model
+
+ENVIRONMENT_PREFIX = "SPLITSLAM_EDGE"
+Part = Literal["loops", "gnss", "imu"]
+Port = Annotated[int, Field(ge=0, le=65535)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+def split_server(server: str) -> tuple[str, int]:
+    """`host:port` -> (host, port); `[::1]:50051` for IPv6. Raises ValueError."""
+    host, _, port = server.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ValueError("expected host:port, e.g. 192.168.0.10:50051")
+    return host, int(port)
+
+
+def _server(server: str) -> str:
+    split_server(server)
+    return server
+
+
+class SourceConfig(Model):
+    """Where scans and samples come from.
+
+    realtime: paced by the recording's clock; otherwise lockstep, as fast as it goes and reproducible.
+    queue_scans: scans that may wait to be processed; more are dropped (realtime) or not read yet (lockstep).
+    """
+
+    recording: Path
+    realtime: bool = False
+    max_scans: Annotated[int, Field(ge=1)] | None = None
+    queue_scans: Annotated[int, Field(ge=1)] = 20
+
+
+class OutputConfig(Model):
+    """dir: online.tum, odom.tum, imu.tum and edge.json. progress: JSON lines on stdout."""
+
+    dir: Path | None = None
+    progress: bool = False
+
+
+class UplinkConfig(Model):
+    """The link to the map service; docs/protocol.md says what the times mean.
+
+    max_kbps: null: no limit. buffer_bytes: frames kept until they are durable. window: before the first Credit.
+    connect_timeout_s: for the very first Welcome; reconnect_timeout_s: for each later outage, null: for ever.
+    answer_timeout_s: a stream that talks but leaves a frame unanswered for so long is given up.
+    """
+
+    max_kbps: Positive | None = None
+    buffer_bytes: Annotated[int, Field(ge=1)] = 64 * 2**20
+    window: Annotated[int, Field(ge=1)] = 4
+    connect_timeout_s: Positive = 10.0
+    reconnect_timeout_s: Positive | None = 120.0
+    welcome_timeout_s: Positive = 0.5
+    welcome_timeout_max_s: Positive = 4.0
+    watchdog_s: Positive = 1.5
+    answer_timeout_s: Positive = 30.0
+    backoff_first_s: Positive = 0.1
+    backoff_max_s: Positive = 2.0
+
+
+class MetricsConfig(Model):
+    """port: null: no /metrics; 0: any free port, which is printed."""
+
+    port: Port | None = 9464
+    address: str = "127.0.0.1"
+
+
+class FeedConfig(Model):
+    """The pose for programs on the robot. queue_samples: what a slow reader may fall behind before it loses samples."""
+
+    socket: Path | None = None
+    max_readers: Annotated[int, Field(ge=1)] = 8
+    queue_samples: Annotated[int, Field(ge=1)] = 1000
+
+
+class AgentConfig(Model):
+    """Everything `edge-agent run` reads."""
+
+    robot: Path
+    server: Annotated[str, AfterValidator(_server)] = "127.0.0.1:50051"
+    source: SourceConfig
+    output: OutputConfig = OutputConfig()
+    pipeline: PipelineSettings = Field(default_factory=PipelineSettings)
+    imu: ImuSettings = Field(default_factory=ImuSettings)
+    disable: tuple[Part, ...] = ()
+    uplink: UplinkConfig = UplinkConfig()
+    metrics: MetricsConfig = MetricsConfig()
+    feed: FeedConfig = FeedConfig()
+    state_dir: Path | None = None
+    site_id: str = ""
+    map_id: str = ""

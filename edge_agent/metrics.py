@@ -1,0 +1,125 @@
+"""What the edge counts. One recorder feeds /metrics and the report, so the two cannot disagree."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter as Tally
+from typing import TYPE_CHECKING
+from wsgiref.simple_server import WSGIServer
+
+import numpy as np
+from numpy.typing import NDArray
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
+
+from splitslam.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+_BUCKETS_S = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.256, 0.512, 1.024, 4.096)
+
+
+def summary(values: Sequence[float] | array[float] | NDArray[np.float64]) -> dict[str, float] | None:
+    """{mean, std, p50, p99, max} of the values; None without any."""
+    if len(values) == 0:
+        return None
+    data = np.asarray(values, dtype=np.float64)
+    p50, p99 = np.percentile(data, [50, 99])
+    return {
+        "mean": float(data.mean()),
+        "std": float(data.std()),
+        "p50": float(p50),
+        "p99": float(p99),
+        "max": float(data.max()),
+    }
+
+
+class Series:
+    """A histogram that also keeps its observations while a report is wanted (`keep`)."""
+
+    def __init__(self, histogram: Histogram, keep: bool) -> None:
+        self._histogram, self._keep = histogram, keep
+        self.values_s: array[float] = array("d")
+
+    def observe_s(self, seconds: float) -> None:
+        self._histogram.observe(seconds)
+        if self._keep:
+            self.values_s.append(seconds)
+
+    def summary_ms(self) -> dict[str, float] | None:
+        return summary(np.asarray(self.values_s) * 1e3)
+
+
+class EdgeMetrics:
+    """Every metric of the agent, in a registry of its own (several agents may live in one process)."""
+
+    def __init__(self, keep: bool = True) -> None:
+        self.registry = CollectorRegistry()
+        self._keep = keep
+        self._stage_cpu = self._histogram("stage_seconds", "Thread CPU time per scan", ["stage"])
+        self._stage_wall = self._histogram("stage_wall_seconds", "Wall time per scan", ["stage"])
+        self.stage_cpu: dict[str, Series] = {}
+        self.stage_wall: dict[str, Series] = {}
+        self.round_trip = Series(self._histogram("round_trip_seconds", "Frame handed over to answer received"), keep)
+        self._uplink = self._counter("uplink_bytes", "Serialized messages sent, by kind", ["kind"])
+        self._dropped = self._counter("dropped", "What was dropped, by reason", ["reason"])
+        self.dropped: Tally[str] = Tally()
+        self.scans = self._counter("scans", "Scans by what became of them", ["result"])
+        self.connects = self._counter("connects", "Streams that were answered with a Welcome")
+        self.reconnects = self._counter("reconnects", "Streams that broke", ["cause"])
+        self.ignored = self._counter(
+            "ignored_answers", "Answers not handed on", ["cause"]
+        )
+        self.state = self._gauge("state", "Tracking state, the numbers of splitslam.v1.TrackingState")
+        self.buffer_frames = self._gauge("buffer_frames", "Frames kept until they are durable and answered")
+        self.buffer_bytes = self._gauge("buffer_bytes", "Bytes of the kept frames")
+        self.queue_events = self._gauge("queue_events", "Sensor messages read and not yet processed")
+        self.feed_readers = self._gauge("feed_readers", "Readers of the local pose feed")
+        self._server: WSGIServer | None = None
+
+    def _histogram(self, name: str, text: str, labels: Sequence[str] = ()) -> Histogram:
+        return Histogram(f"splitslam_edge_{name}", text, labels, buckets=_BUCKETS_S, registry=self.registry)
+
+    def _counter(self, name: str, text: str, labels: Sequence[str] = ()) -> Counter:
+        return Counter(f"splitslam_edge_{name}", text, labels, registry=self.registry)
+
+    def _gauge(self, name: str, text: str) -> Gauge:
+        return Gauge(f"splitslam_edge_{name}", text, registry=self.registry)
+
+    def drop(self, reason: str, count: int = 1) -> None:
+        """Counts something that is lost."""
+        self.dropped[reason] += count
+        self._dropped.labels(reason).inc(count)
+
+    def sent(self, kind: str, size: int) -> None:
+        """Counts one message on the uplink."""
+        self._uplink.labels(kind).inc(size)
+
+    def stages(self, cpu_ms: dict[str, float], wall_ms: dict[str, float]) -> None:
+        """Records one scan's stages."""
+        for times_ms, series, histogram in (
+            (cpu_ms, self.stage_cpu, self._stage_cpu),
+            (wall_ms, self.stage_wall, self._stage_wall),
+        ):
+            for stage, milliseconds in times_ms.items():
+                if stage not in series:
+                    series[stage] = Series(histogram.labels(stage), self._keep)
+                series[stage].observe_s(milliseconds * 1e-3)
+
+    def tcp_bytes_from(self, sent: Callable[[], float], received: Callable[[], float]) -> None:
+        """Shows the kernel's byte counts at scrape time."""
+        self._gauge("tcp_sent_bytes", "TCP payload sent, framing included").set_function(sent)
+        self._gauge("tcp_received_bytes", "TCP payload received, framing included").set_function(received)
+
+    def serve(self, address: str, port: int) -> int:
+        """Opens /metrics and returns its port (0: any free one). Raises InputError when it cannot."""
+        try:
+            self._server, _ = start_http_server(port, address, self.registry)
+        except OSError as error:
+            raise InputError(f"metrics.port {port}: expected a free port on {address} ({error.strerror})") from None
+        return self._server.server_port
+
+    def close(self) -> None:
+        if self._server is not None:
+            self._server.shutdown()
+            self._server.server_close()

@@ -1,0 +1,96 @@
+"""The agent's files: online.tum, odom.tum, imu.tum and edge.json. They appear complete or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.types import OdomPoses
+from splitslam import se3
+from splitslam.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def tum_line(stamp_ns: int, position_m: Array, quat_xyzw: Array) -> str:
+    """One TUM line; the stamp goes from int64 to 9 decimals without passing through a float."""
+    seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
+    x, y, z = position_m
+    qx, qy, qz, qw = quat_xyzw
+    return f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
+
+
+class Outputs:
+    """Streams to temporary names in `folder`; `publish` renames them, `discard` leaves nothing behind."""
+
+    _NAMES = ("online.tum", "odom.tum", "imu.tum")
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._made = not folder.exists()
+        self._files: dict[str, TextIO] = {}
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in self._NAMES:
+                self._files[name] = _temporary(folder, name).open("w", encoding="ascii")
+        except OSError as error:
+            self.discard()
+            raise InputError(
+                f"output.dir {folder}: expected a directory that can be written ({error.strerror})"
+            ) from None
+
+    def online(self, stamp_ns: int, T_map_lidar: Array) -> None:
+        """The answer to a scan as it came."""
+        self._pose("online.tum", stamp_ns, T_map_lidar)
+
+    def odom(self, stamp_ns: int, T_odom_lidar: Array) -> None:
+        """The edge's own pose of a scan."""
+        self._pose("odom.tum", stamp_ns, T_odom_lidar)
+
+    def _pose(self, name: str, stamp_ns: int, T: Array) -> None:
+        self._files[name].write(tum_line(stamp_ns, T[:3, 3], se3.quat_from_matrix(T[:3, :3])))
+
+    def imu(self, poses: OdomPoses, T_map_odom: Array) -> None:
+        """IMU-rate poses, T_map_odom as known at the time."""
+        positions = poses.positions_m @ T_map_odom[:3, :3].T + T_map_odom[:3, 3]
+        quats = rotate_quats(se3.quat_from_matrix(T_map_odom[:3, :3]), poses.quats_xyzw)
+        rows = zip(poses.stamps_ns.tolist(), positions.tolist(), quats.tolist(), strict=True)
+        self._files["imu.tum"].writelines(tum_line(*row) for row in rows)
+
+    def publish(self, report: dict[str, Any]) -> None:
+        """All files at once under their own names, edge.json last: its presence says that the rest is there."""
+        for name, file in self._files.items():
+            file.close()
+        temporary = _temporary(self._folder, "edge.json")
+        temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
+        for name in (*self._files, "edge.json"):
+            os.replace(_temporary(self._folder, name), self._folder / name)
+        self._files.clear()
+
+    def discard(self) -> None:
+        """After an error: no half-written file, and no directory that was not there before."""
+        for file in self._files.values():
+            file.close()
+        self._files.clear()
+        for name in (*self._NAMES, "edge.json"):
+            _temporary(self._folder, name).unlink(missing_ok=True)
+        if self._made:
+            with contextlib.suppress(OSError):  # someone else has put something there
+                self._folder.rmdir()
+
+
+def rotate_quats(left_xyzw: Array, quats_xyzw: Array) -> Array:
+    """Hamilton product left * q for each row of (M, 4)."""
+    x, y, z, w = left_xyzw
+    matrix = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
+    return quats_xyzw @ matrix.T
+
+
+def _temporary(folder: Path, name: str) -> Path:
+    return folder / f".{name}.part"

@@ -1,0 +1,77 @@
+"""One bidirectional stream to the map service, from Hello to its end; uplink.py knows what to say on it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from urllib.parse import quote
+
+import grpc
+
+from splitslam.wire import session_pb2 as pb
+from splitslam.wire import session_pb2_grpc as rpc
+
+ROUTE_KEY = "splitslam-route-key"
+_log = logging.getLogger(__name__)
+_OPTIONS = [
+    ("grpc.use_local_subchannel_pool", 1),  # each attempt gets a connection of its own, not the frozen one again
+    ("grpc.enable_retries", 0),
+    ("grpc.enable_http_proxy", 0),
+]
+
+
+def route_key(hello: pb.Hello) -> str:
+    """What the proxy hashes; header values are ASCII, robot ids need not be."""
+    return f"{quote(hello.robot_id, safe='')}/{hello.run_id}#{hello.attempt}"
+
+
+class Stream:
+    """Opens at once. `next_request` blocks for the next message and returns None at the end of the stream.
+
+    `on_response` and `on_end` are called on this stream's reader thread; `on_end` once, with gRPC's reason.
+    """
+
+    def __init__(
+        self,
+        server: str,
+        hello: pb.Hello,
+        next_request: Callable[[Stream], pb.StreamRequest | None],
+        on_response: Callable[[Stream, pb.StreamResponse], None],
+        on_end: Callable[[Stream, str], None],
+    ) -> None:
+        self.hello = hello
+        self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
+        self._channel = grpc.insecure_channel(server, options=_OPTIONS)
+        metadata = ((ROUTE_KEY, route_key(hello)),)
+        self._call = rpc.EdgeServiceStub(self._channel).Stream(self._requests(), metadata=metadata)
+        self._reader = threading.Thread(target=self._read, name="uplink-reader", daemon=True)
+        self._reader.start()
+
+    def _requests(self) -> Iterator[pb.StreamRequest]:
+        while (request := self._next_request(self)) is not None:
+            yield request
+
+    def _read(self) -> None:
+        reason = "ended by the server"
+        try:
+            for response in self._call:
+                self._on_response(self, response)
+        except grpc.RpcError as error:
+            reason = _reason(error)
+        except Exception:  # a defect of ours must break the stream loudly, not leave it silent
+            _log.exception("uplink reader failed")
+            reason = "internal error"
+        self._on_end(self, reason)
+
+    def close(self) -> None:
+        """Cancels what is left and waits for the reader."""
+        self._call.cancel()
+        self._reader.join()
+        self._channel.close()
+
+
+def _reason(error: grpc.RpcError) -> str:
+    if isinstance(error, grpc.Call):
+        return f"{error.code().name}: {error.details()}"
+    return str(error)

@@ -1,0 +1,97 @@
+"""Between the edge's own records and the messages of the session protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.types import EncodedFrame, OdometryReply
+from splitslam import se3
+from splitslam.scan import GnssFix
+from splitslam.wire import session_pb2 as pb
+from splitslam.wire import types_pb2 as types
+
+WIRE_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """One answer for the Imu node and what the outputs need besides.
+
+    keyframe: a keyframe was made. correction_m: size of a stated jump of T_map_odom, or None.
+    round_trip_s: from the frame's hand-over to the uplink to its answer.
+    """
+
+    reply: OdometryReply
+    keyframe: bool
+    correction_m: float | None
+    round_trip_s: float
+
+
+def transform(T: NDArray[np.float64]) -> types.Transform:
+    """(4, 4) -> message."""
+    x, y, z, w = se3.quat_from_matrix(T[:3, :3])
+    return types.Transform(tx_m=T[0, 3], ty_m=T[1, 3], tz_m=T[2, 3], qx=x, qy=y, qz=z, qw=w)
+
+
+def matrix(message: types.Transform) -> NDArray[np.float64]:
+    """Message -> (4, 4). Raises ValueError for what is no rigid transform."""
+    t = np.array([message.tx_m, message.ty_m, message.tz_m])
+    q = np.array([message.qx, message.qy, message.qz, message.qw])
+    norm = float(np.linalg.norm(q))
+    if not (np.isfinite(t).all() and 0.9 < norm < 1.1):  # also false for NaN
+        raise ValueError("not a rigid transform")
+    return se3.from_quat(t, q)
+
+
+def frame_message(frame: EncodedFrame, codec_version: int, run_id: str) -> pb.Frame:
+    """An encoded scan as it goes on the wire."""
+    return pb.Frame(
+        seq=frame.seq,
+        stamp_ns=frame.stamp_ns,
+        dense=frame.dense,
+        codec_version=codec_version,
+        payload=frame.payload,
+        fixes=[_fix_message(fix) for fix in frame.fixes],
+        trace_id=f"{run_id[:8]}{frame.seq & 0xFFFFFFFF:08x}",
+    )
+
+
+def _fix_message(fix: GnssFix) -> types.GnssFix:
+    return types.GnssFix(
+        stamp_ns=fix.stamp_ns,
+        latitude_deg=fix.latitude_deg,
+        longitude_deg=fix.longitude_deg,
+        altitude_m=fix.altitude_m,
+        covariance_enu_m2=[] if fix.covariance_enu_m2 is None else fix.covariance_enu_m2.reshape(-1).tolist(),
+        status=fix.status,
+    )
+
+
+def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
+    """The server's answer. One that makes no sense counts as rejected, so that the Imu node never sees it."""
+    covariance = np.eye(6)
+    rejected = message.rejected
+    T_map_lidar = T_map_odom = np.eye(4)
+    if not rejected:
+        try:
+            T_map_lidar, T_map_odom = matrix(message.pose_map_lidar), matrix(message.pose_map_odom)
+            covariance = np.array(message.covariance, dtype=np.float64).reshape(6, 6)
+            if not np.isfinite(covariance).all():
+                raise ValueError("covariance not finite")
+        except ValueError:
+            rejected = "corrupt_answer"
+    reply = OdometryReply(
+        seq=message.seq,
+        stamp_ns=message.stamp_ns,
+        T_map_lidar=T_map_lidar,
+        T_map_odom=T_map_odom,
+        covariance=covariance,
+        state=message.state,
+        degenerate=len(message.degenerate_axes) > 0,
+        rejected=rejected,
+    )
+    stated = message.correction.cause != types.CORRECTION_CAUSE_UNSPECIFIED
+    return Answer(reply, message.keyframe, message.correction.translation_m if stated else None, round_trip_s)
