@@ -22,10 +22,11 @@ def owners() -> dict[str, set[str]]:
     """Top-level module -> distributions that install it. (Python 3.11's own mapping misses single-file extensions.)"""
     found: dict[str, set[str]] = {}
     for distribution in importlib.metadata.distributions():
+        name = canonical(distribution.name)
         for path in distribution.files or []:
             top = path.parts[0] if len(path.parts) > 1 else inspect.getmodulename(path.name)
             if top and top.isidentifier():
-                found.setdefault(top, set()).add(canonical(distribution.name))
+                found.setdefault(top, set()).add(name)
     return found
 
 
