@@ -77,7 +77,7 @@ def knots_from_integers(count: int, uniform: bool, integers: NDArray[np.int64]) 
     offsets = _uniform(int(times[0]), int(times[-1]), count) if uniform else times
     if np.any(np.diff(offsets) <= 0):
         raise ValueError("knot times do not increase")
-    steps = np.cumsum(np.cumsum(integers[used:].reshape(6, count).T, axis=0), axis=0)
+    steps = np.cumsum(np.cumsum(integers[used:].reshape(6, count).T, axis=0), axis=0).astype(np.float64)
     if np.any(np.abs(steps) >= _LIMIT):
         raise ValueError("knots move too far")
     return Knots(

@@ -174,10 +174,20 @@ def decode(
     directions = _directions(columns, beam_elevations_rad, step_um)
     if not kernels.from_residuals(residuals, ring, per_column, _table(knots), directions, points, column, t_offset_ns):
         raise DecodeError("corrupt", "a point outside of the image or of any range")
-    fields = (points, ring, column, t_offset_ns, (classes & 15) * np.uint8(17))
+    everything = FeatureSet(points, ring, column, t_offset_ns, (classes & 15).astype(np.uint8) * np.uint8(17))
     is_corner = (classes & 16) != 0
-    corners, surfs = (FeatureSet(*(field[chosen] for field in fields)) for chosen in (is_corner, ~is_corner))
+    corners, surfs = _chosen(everything, is_corner), _chosen(everything, ~is_corner)
     return FeatureFrame(seq, stamp_ns, dense, motion, corners, surfs)
+
+
+def _chosen(points: FeatureSet, chosen: NDArray[np.bool_]) -> FeatureSet:
+    return FeatureSet(
+        points.points_lidar[chosen],
+        points.ring[chosen],
+        points.column[chosen],
+        points.t_offset_ns[chosen],
+        points.intensity[chosen],
+    )
 
 
 def _column_rate(ring: NDArray[np.uint8], column: NDArray[np.uint16], t_offset_ns: NDArray[np.int32]) -> int:
