@@ -1,0 +1,43 @@
+"""The kernels' own tests pass as plain Python too: what numba compiles is what the source says."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+
+# A kernel's own tests import the kernel module itself.
+IMPORTS_KERNELS = re.compile(r"^\s*(?:from|import) .*\b_\w*kernels\b", re.MULTILINE)
+MODULES = sorted(
+    str(path.relative_to(ROOT))
+    for path in (ROOT / "tests").rglob("test_*.py")
+    if IMPORTS_KERNELS.search(path.read_text())
+)
+
+
+def test_the_kernels_have_tests_of_their_own() -> None:
+    kernels = sorted(
+        p for part in ("splitslam", "edge_agent", "map_service") for p in (ROOT / part).rglob("_*kernels.py")
+    )
+    tested = "\n".join((ROOT / module).read_text() for module in MODULES)
+    untested = []
+    for path in kernels:
+        package = ".".join(path.relative_to(ROOT).parent.parts)
+        if not re.search(rf"from {package} import .*\b{path.stem}\b|{package}\.{path.stem}\b", tested):
+            untested.append(str(path.relative_to(ROOT)))
+    assert not untested
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_kernel_s_tests_pass_without_the_jit(module: str) -> None:
+    # The voxel hash wraps on purpose, which numpy scalars warn about and compiled code does not.
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", module]
+    command += ["-W", "ignore:overflow encountered in scalar multiply:RuntimeWarning"]
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stdout[-3000:]
