@@ -52,5 +52,9 @@ class LoopCloser:
             if result.accepted:
                 accepted.append(result)
             else:
-                self.rejected[result.reason] = self.rejected.get(result.reason, 0) + 1
+                self.reject(result.reason)
         return accepted
+
+    def reject(self, reason: str) -> None:
+        """Counts a candidate that becomes no factor."""
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1

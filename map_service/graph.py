@@ -49,11 +49,16 @@ class PoseGraph:
         payload = {"motion": _flat(T_previous_lidar), "covariance": covariance.reshape(-1).tolist()}
         self._record("odometry", {"to": len(self.poses), **payload}, T_map_lidar)
 
-    def add_loop(self, older: int, newer: int, T_older_newer: Array, sigmas: Sequence[float]) -> None:
-        """A verified revisit; sigmas: rotation rad, translation m."""
-        self._record(
-            "loop", {"older": older, "newer": newer, "motion": _flat(T_older_newer), "sigmas": [float(s) for s in sigmas]}
-        )
+    def add_loop(
+        self, older: int, newer: int, T_older_newer: Array, sigmas: Sequence[float], robust_sigmas: float = 1.0
+    ) -> None:
+        """A verified revisit; sigmas: rotation rad, translation m.
+
+        robust_sigmas: scale of the Cauchy kernel. It must cover what the drive may have drifted, or a true loop that
+        closes a large gap is outvoted by the odometry it is to correct.
+        """
+        payload = {"motion": _flat(T_older_newer), "sigmas": [float(s) for s in sigmas], "robust": float(robust_sigmas)}
+        self._record("loop", {"older": older, "newer": newer, **payload})
 
     def add_gnss(self, keyframe: int, antenna_lidar: Array, enu_m: Array, sigmas_m: Array, T_enu_map: Array) -> None:
         """An antenna position: antenna_lidar (3,) in the keyframe's frame, enu_m (3,); T_enu_map is the first guess."""
@@ -83,7 +88,7 @@ class PoseGraph:
         elif record.kind == "loop":
             noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat(p["sigmas"], 3))
             motion = gtsam.Pose3(_square(p["motion"]))
-            self._graph.add(gtsam.BetweenFactorPose3(X(p["older"]), X(p["newer"]), motion, self._robust(noise)))
+            self._graph.add(gtsam.BetweenFactorPose3(X(p["older"]), X(p["newer"]), motion, _cauchy(noise, p["robust"])))
         elif record.kind == "gnss":
             self._add_gnss_factor(p)
         else:
@@ -98,13 +103,10 @@ class PoseGraph:
             self._values.insert(ENU_KEY, gtsam.Pose3(guess))
             self._graph.add(gtsam.PriorFactorPose3(ENU_KEY, gtsam.Pose3(guess), noise))
         error = _gnss_error(np.array(p["antenna"]), np.array(p["enu"]))
-        noise = self._robust(gtsam.noiseModel.Diagonal.Sigmas(np.array(p["sigmas"])))
+        kernel = gtsam.noiseModel.mEstimator.Huber.Create(self.settings.gnss_robust_sigmas)
+        noise = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Diagonal.Sigmas(np.array(p["sigmas"])))
         self._alive.append(error)
         self._graph.add(gtsam.CustomFactor(noise, [ENU_KEY, X(p["keyframe"])], error))
-
-    def _robust(self, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-        kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.settings.robust_sigmas)
-        return gtsam.noiseModel.Robust.Create(kernel, noise)
 
     # --- estimate ---------------------------------------------------------------------------------------------
 
@@ -133,6 +135,10 @@ class PoseGraph:
             graph._add(record, poses[len(graph.poses)] if new else None)
         graph.optimise(corrected=True)
         return graph
+
+
+def _cauchy(noise: gtsam.noiseModel.Base, sigmas: float) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(sigmas), noise)
 
 
 def _gnss_error(antenna_lidar: Array, enu_m: Array) -> Callable[..., Array]:

@@ -80,6 +80,11 @@ class Keyframes:
         positions = np.array([k.T_local_lidar[:3, 3] for k in self._items])
         return [int(i) for i in np.flatnonzero(np.linalg.norm(positions - centre_m, axis=1) < radius_m)]
 
+    def path_m(self, first: int, last: int) -> float:
+        """Length of the way from one keyframe to another, m."""
+        positions = np.array([k.T_local_lidar[:3, 3] for k in self._items[first : last + 1]])
+        return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+
     def stamps_ns(self) -> NDArray[np.int64]:
         """(n,) reference times."""
         return np.array([k.stamp_ns for k in self._items], np.int64)

@@ -19,8 +19,8 @@ from map_service.gnss import GnssGate
 from map_service.graph import PoseGraph
 from map_service.keyframes import Keyframes
 from map_service.loops import LoopVerifier
-from map_service.settings import PipelineSettings
 from map_service.pipeline_statistics import PipelineStatistics
+from map_service.settings import PipelineSettings
 from map_service.tracker import Track, Tracker
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
 from splitslam import se3
@@ -88,7 +88,10 @@ class MapPipeline:
         self.log.keyframe(self.keyframes[index], T_map_lidar)
         if self.closer is not None:
             self.closer.look(frame.seq, self.keyframes, self.graph.poses)
-        if np.linalg.norm(track.T_local_lidar[:3, 3] - self.built_at_m) > self.settings.tracker.local_map.rebuild_distance_m:
+        if (
+            np.linalg.norm(track.T_local_lidar[:3, 3] - self.built_at_m)
+            > self.settings.tracker.local_map.rebuild_distance_m
+        ):
             self._rebuild()
 
     def _odometry_covariance(self, track: Track, motion: Array) -> Array:
@@ -125,14 +128,21 @@ class MapPipeline:
     def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
         if self.closer is None:
             return None
-        results = self.closer.due(seq, everything)
-        s = self.settings.loops
-        for result in results:
-            self.graph.add_loop(
-                result.older, result.newer, result.T_older_newer, (s.rotation_sigma_rad, s.translation_sigma_m)
+        s, added = self.settings.loops, False
+        for result in self.closer.due(seq, everything):
+            innovation = (
+                se3.inv(result.T_older_newer) @ se3.inv(self.graph.poses[result.older]) @ self.graph.poses[result.newer]
             )
+            drift_m = s.drift_floor_m + s.drift_share * self.keyframes.path_m(result.older, result.newer)
+            if np.linalg.norm(innovation[:3, 3]) > 3 * drift_m:
+                self.closer.reject("implausible")
+                continue
+            sigmas = (s.rotation_sigma_rad, s.translation_sigma_m)
+            scale = max(1.0, drift_m / s.translation_sigma_m)
+            self.graph.add_loop(result.older, result.newer, result.T_older_newer, sigmas, scale)
             self.stats.loops += 1
-        return Cause.LOOP if results else None
+            added = True
+        return Cause.LOOP if added else None
 
     def _correct(self, cause: Cause) -> CorrectionRecord | None:
         """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
@@ -185,7 +195,9 @@ class MapPipeline:
 
     # --- answers ----------------------------------------------------------------------------------------------
 
-    def _answer(self, frame: FeatureFrame, track: Track, correction: CorrectionRecord | None, started, registered) -> MapAnswer:
+    def _answer(
+        self, frame: FeatureFrame, track: Track, correction: CorrectionRecord | None, started, registered
+    ) -> MapAnswer:
         ended = time.perf_counter(), time.thread_time()
         state = self.tracker.state  # a rebuild may have moved the tracker
         assert state is not None

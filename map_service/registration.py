@@ -99,7 +99,7 @@ class Registration:
             xi_prior = se3.log(se3.inv(prediction.T_local_lidar) @ T)
             H_total = H + prediction.information
             b_total = b - prediction.information @ xi_prior
-            step = np.linalg.solve(H_total + damping * np.diag(np.diag(H_total)), b_total)
+            step = np.asarray(np.linalg.solve(H_total + damping * np.diag(np.diag(H_total)), b_total), np.float64)
             T = T @ se3.exp(step)
             moved_m, turned_rad = float(np.linalg.norm(step[3:])), float(np.linalg.norm(step[:3]))
             if deskew_again:
@@ -151,7 +151,7 @@ class Registration:
         return RegistrationResult(
             T_local_lidar=se3.orthonormalised(T),
             information=information,
-            covariance=np.linalg.inv(information + prediction.information),
+            covariance=np.asarray(np.linalg.inv(information + prediction.information), np.float64),
             converged=converged,
             iterations=iterations,
             matched=fit.matched,
@@ -196,7 +196,9 @@ def deskew_again(points_lidar: Array, offsets_s: Array, delta_twist: Array) -> A
     return points_lidar + offsets_s[:, None] * (delta_twist[3:] + np.cross(delta_twist[:3], points_lidar))
 
 
-def _normal_equations(classes: tuple[_Class, _Class], T: Array, gate_m: float, noise: Array) -> tuple[Array, Array, _Fit]:
+def _normal_equations(
+    classes: tuple[_Class, _Class], T: Array, gate_m: float, noise: Array
+) -> tuple[Array, Array, _Fit]:
     H, b = np.zeros((6, 6)), np.zeros(6)
     cost, inliers, squares, matched = 0.0, 0, 0.0, 0
     for c in classes:

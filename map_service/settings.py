@@ -75,7 +75,7 @@ class GraphSettings(Model):
 
     relinearise_threshold: float = 0.01
     extra_updates: int = 3
-    robust_sigmas: float = 1.0
+    gnss_robust_sigmas: float = 1.5
     odometry_rotation_rad: float = 5e-4
     odometry_translation_m: float = 0.003
     odometry_translation_share: float = 0.002
@@ -115,6 +115,8 @@ class LoopSettings(Model):
     max_shift_m: float = 5.0
     rotation_sigma_rad: float = 0.003
     translation_sigma_m: float = 0.02
+    drift_share: float = Field(default=0.02, description="largest believable drift of the odometry")
+    drift_floor_m: float = 0.3
 
 
 class PipelineSettings(Model):

@@ -95,7 +95,7 @@ class Tracker:
             self.local_map,
             _again(frame.corners, base),
             _again(frame.surfs, base),
-            (frame.corners.t_offset_ns * 1e-9, frame.surfs.t_offset_ns * 1e-9),
+            (_seconds(frame.corners), _seconds(frame.surfs)),
             prediction,
             self.redeskew,
         )
@@ -185,4 +185,8 @@ def _again(features: FeatureSet, delta_twist: Array) -> NDArray[np.float32]:
     if not delta_twist.any():
         return features.points_lidar
     points = features.points_lidar.astype(np.float64)
-    return deskew_again(points, features.t_offset_ns * 1e-9, delta_twist).astype(np.float32)
+    return deskew_again(points, _seconds(features), delta_twist).astype(np.float32)
+
+
+def _seconds(features: FeatureSet) -> Array:
+    return np.multiply(features.t_offset_ns, 1e-9, dtype=np.float64)

@@ -71,9 +71,7 @@ class LocalGraph:
         graph.add(gtsam.PriorFactorPose3(X(0), pose, gtsam.noiseModel.Gaussian.Covariance(covariance)))
         velocity_noise = gtsam.noiseModel.Isotropic.Sigma(3, max(state.velocity_sigma_mps, 1e-2))
         graph.add(gtsam.PriorFactorVector(V(0), state.velocity_mps, velocity_noise))
-        bias_noise = gtsam.noiseModel.Diagonal.Sigmas(
-            np.repeat([s.prior_bias_accel_mps2, s.prior_bias_gyro_radps], 3)
-        )
+        bias_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([s.prior_bias_accel_mps2, s.prior_bias_gyro_radps], 3))
         bias = gtsam.imuBias.ConstantBias(state.bias[3:], state.bias[:3])
         graph.add(gtsam.PriorFactorConstantBias(B(0), bias, bias_noise))
         server = gtsam.Pose3(T_server_imu)
@@ -124,9 +122,7 @@ class LocalGraph:
         pim = self._preintegrate(window, noise)
         k = self.key + 1
         seconds = pim.deltaTij()
-        walk = gtsam.noiseModel.Diagonal.Sigmas(
-            np.sqrt(seconds) * np.repeat([noise.accel_walk, noise.gyro_walk], 3)
-        )
+        walk = gtsam.noiseModel.Diagonal.Sigmas(np.sqrt(seconds) * np.repeat([noise.accel_walk, noise.gyro_walk], 3))
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         graph.add(gtsam.ImuFactor(X(k - 1), V(k - 1), X(k), V(k), B(k - 1), pim))
         graph.add(gtsam.BetweenFactorConstantBias(B(k - 1), B(k), gtsam.imuBias.ConstantBias(), walk))

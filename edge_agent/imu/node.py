@@ -125,7 +125,9 @@ class ImuNode:
         first, here = np.searchsorted(stamps, [previous_ns, start_ns])
         T_start = self._lidar_pose(states[here])
         T_prev_lidar = se3.inv(self._lidar_pose(states[first])) @ T_start
-        covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, anchor, (start_ns - anchor.stamp_ns) * 1e-9)
+        covariance = self._motion_covariance(
+            (start_ns - previous_ns) * 1e-9, anchor, (start_ns - anchor.stamp_ns) * 1e-9
+        )
         R = T_start[:3, :3]
         lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
         velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever

@@ -12,7 +12,7 @@ def plane_fit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def normal_equations(points, T, fits, noise):
-    """Point by point, numeric Jacobian of the plane or line distance; fits: (n, mean, axis, l_mid, l_max, thin, kind)."""
+    """Point by point, numeric Jacobian of the distance; fits: (n, mean, axis, wide, thin, is_plane)."""
     from splitslam import se3
 
     H, b = np.zeros((6, 6)), np.zeros(6)

@@ -23,9 +23,7 @@ def test_every_voxel_of_every_level_holds_the_fit_of_exactly_its_points():
     for part in np.array_split(points, 5):  # incremental insertion must not differ from one go
         voxels.insert(part)
     live = np.flatnonzero(voxels.keys != -1)
-    expected = {
-        (level, *index) for level in range(3) for index in voxel_index(points, 0.5 * 2**level)
-    }
+    expected = {(level, *index) for level in range(3) for index in voxel_index(points, 0.5 * 2**level)}
     assert len(live) == len(expected)
     checked = 0
     for i in live:

@@ -78,10 +78,14 @@ def test_a_wrong_velocity_is_found_and_the_scan_deskewed_again():
     corners, surfs = seen_from(T, rng, 3000)
     truth = np.array([2.0, -1.0, 0.0])  # velocity that the edge did not know of
     times = rng.uniform(0, 0.1, len(corners)), rng.uniform(0, 0.1, len(surfs))
-    skewed = [(p - t[:, None] * truth).astype(np.float32) for p, t in zip((corners, surfs), times, strict=True)]
+    corners, surfs = ((p - t[:, None] * truth).astype(np.float32) for p, t in zip((corners, surfs), times, strict=True))
     guess = T @ se3.exp(np.concatenate([np.zeros(3), -truth * 0.1]))  # the prediction misses it as well
-    again = align(local_map, *skewed, guess, velocity_sigma=10.0, again=True, times=times, information=WEAK * 1e-4)
-    once = align(local_map, *skewed, guess, velocity_sigma=10.0, again=False, times=times, information=WEAK * 1e-4)
+    again = align(
+        local_map, corners, surfs, guess, velocity_sigma=10.0, again=True, times=times, information=WEAK * 1e-4
+    )
+    once = align(
+        local_map, corners, surfs, guess, velocity_sigma=10.0, again=False, times=times, information=WEAK * 1e-4
+    )
     np.testing.assert_allclose(again.delta_twist[3:], truth, atol=0.15)
     assert np.linalg.norm((se3.inv(T) @ again.T_local_lidar)[:3, 3]) < 0.01
     assert np.linalg.norm((se3.inv(T) @ once.T_local_lidar)[:3, 3]) > 0.05
@@ -92,6 +96,8 @@ def test_deskewing_again_is_first_order_in_the_twist():
     points, times = rng.uniform(-20, 20, (50, 3)), rng.uniform(0, 0.1, 50)
     twist = np.array([0.02, -0.01, 0.03, 0.3, 0.1, -0.2])
     moved = deskew_again(points, times, twist)
-    exact = np.stack([se3.exp(twist * t)[:3, :3] @ p + se3.exp(twist * t)[:3, 3] for p, t in zip(points, times, strict=True)])
+    exact = np.stack(
+        [se3.exp(twist * t)[:3, :3] @ p + se3.exp(twist * t)[:3, 3] for p, t in zip(points, times, strict=True)]
+    )
     assert np.abs(moved - exact).max() < 2e-4
     assert np.abs(moved - points).max() > 0.02

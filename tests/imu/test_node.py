@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_agent.imu import make_imu_node
+from edge_agent.imu.constant_velocity import ConstantVelocityNode
+from edge_agent.imu.settings import ImuSettings
+from splitslam import se3
+from splitslam.robot import robot_from_yaml
+from tests.imu.made import SCAN_NS, START_NS, Drive, make_node, play
+
+
+def motion_errors(drive: Drive, seconds: float, rate_hz: float = 200.0, after: int = 50, **settings):
+    """Errors (m, rad) of T_prev_lidar after the start phase, and the node."""
+    node = make_node(rate_hz, **settings)
+    T_imu_lidar = se3.inv(node.robot.T_lidar_imu)
+    errors = []
+    for k, _, motion, _ in play(node, drive, seconds, rate_hz):
+        if k >= after:
+            a, b = (drive.T_odom_imu(t) @ T_imu_lidar for t in ((k - 1) * 0.1, k * 0.1))
+            error = se3.inv(se3.inv(a) @ b) @ motion.T_prev_lidar
+            errors.append((np.linalg.norm(error[:3, 3]), se3.angle(error)))
+    return np.array(errors), node
+
+
+def test_a_robot_that_stands_first_is_predicted_to_a_millimetre_and_its_biases_are_found():
+    drive = Drive(still_s=2.0)
+    errors, node = motion_errors(drive, 15.0)
+    assert np.median(errors[:, 0]) < 0.001
+    assert np.median(errors[:, 1]) < 2e-4
+    assert node._anchor is not None
+    np.testing.assert_allclose(node._anchor.bias[:3], drive.gyro_bias, atol=5e-4)
+
+
+def test_a_moving_start_is_caught_up_with():
+    errors, node = motion_errors(Drive(speed_mps=8.0), 12.0)
+    assert np.median(errors[:, 0]) < 0.01
+    assert node.resets == 0
+
+
+def test_a_10_hz_imu_is_enough_to_predict_a_scan():
+    errors, _ = motion_errors(Drive(speed_mps=5.0, wobble_rad=0.02), 15.0, rate_hz=10.0)
+    assert np.median(errors[:, 0]) < 0.04
+    assert np.median(errors[:, 1]) < 0.01
+
+
+def test_the_graph_is_reset_after_its_keys_and_nothing_is_lost():
+    errors, node = motion_errors(Drive(still_s=2.0), 15.0, reset_keys=20)
+    assert node.graph.key < 20
+    assert np.median(errors[:, 0]) < 0.002
+
+
+def test_the_pose_comes_at_imu_rate_and_never_steps():
+    node = make_node(200.0)
+    drive = Drive(still_s=2.0)
+    stamps, positions = [], []
+    for _, _, _, poses in play(node, drive, 10.0):
+        if poses is not None:
+            stamps.extend(poses.stamps_ns)
+            positions.extend(poses.positions_m)
+    steps_ns = np.diff(stamps)
+    assert set(steps_ns[1:]) == {5_000_000}
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / (steps_ns * 1e-9)
+    assert speed.max() < 1.5 * drive.speed_mps + 0.2
+    assert node.jumps["odom_max_m"] < 0.002
+    assert node.jumps["odom_max_deg"] < 0.03
+
+
+def test_without_answers_the_pose_goes_on():
+    node = make_node(200.0)
+    count = 0
+    for _, _, motion, poses in play(node, Drive(still_s=2.0), 3.0, answers=False):
+        count += 0 if poses is None else len(poses.stamps_ns)
+        assert np.isfinite(motion.T_prev_lidar).all()
+        assert not motion.velocity_known
+    assert count > 500
+
+
+def test_a_late_or_rejected_answer_changes_nothing():
+    node = make_node(200.0)
+    for k, _, _, _ in play(node, Drive(still_s=2.0), 4.0):
+        last = k
+    from edge_agent.types import OdometryReply
+
+    before = node._anchor
+    for rejected, age in (("corrupt", 1), ("", 30)):
+        far = se3.compose(np.eye(3), np.array([50.0, 0, 0]))
+        stamp = START_NS + (last - age) * SCAN_NS
+        node.on_odometry(OdometryReply(last - age, stamp, far, np.eye(4), np.eye(6), 2, False, rejected))
+    assert node._anchor is before
+
+
+def test_a_jump_of_the_map_moves_t_map_odom_and_not_t_odom_lidar():
+    node, drive = make_node(200.0), Drive(still_s=2.0)
+    jump = se3.compose(se3.so3_exp(np.array([0, 0, 0.3])), np.array([4.0, -2.0, 0.5]))
+    original = node.on_odometry
+
+    def corrected(reply):  # the service closes a loop at scan 60
+        from dataclasses import replace
+
+        if reply.seq > 60:
+            reply = replace(reply, T_map_lidar=jump @ reply.T_map_lidar, T_map_odom=jump)
+        original(reply)
+
+    node.on_odometry = corrected  # type: ignore[method-assign]
+    maps = []
+    for _ in play(node, drive, 10.0):
+        maps.append(node.T_map_odom)
+    assert node.jumps["odom_max_m"] < 0.002
+    assert np.linalg.norm((se3.inv(jump) @ maps[-1])[:3, 3]) < 0.05
+    assert np.linalg.norm(maps[50][:3, 3]) < 0.05
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_without_an_imu_the_last_twist_goes_on(enabled):
+    bare = robot_from_yaml("imu: null")
+    node = make_imu_node(bare if enabled else make_node().robot, ImuSettings(), enabled)
+    assert isinstance(node, ConstantVelocityNode)
+    from edge_agent.types import OdometryReply
+
+    step = se3.exp(np.array([0, 0, 0.02, 0.15, 0, 0]))
+    T = np.eye(4)
+    poses = []
+    for k in range(20):
+        start = START_NS + k * SCAN_NS
+        if k >= 2:
+            node.on_odometry(OdometryReply(k - 1, start - 2 * SCAN_NS, poses[k - 2], np.eye(4), np.eye(6), 2, False))
+        motion = node.motion_over(start, start + SCAN_NS)
+        poses.append(T)
+        T = T @ step
+    np.testing.assert_allclose(motion.T_prev_lidar, step, atol=1e-6)
+    np.testing.assert_allclose(motion.knots.translation_m[-1], step[:3, 3], atol=1e-3)
+    assert np.linalg.norm((node.T_map_odom @ node.T_odom_lidar_at(start) @ se3.inv(poses[-1]))[:3, 3]) < 1e-6
