@@ -1,0 +1,153 @@
+"""The true motion: one quintic spline over (x, y, z, yaw, pitch, roll), so that every derivative is exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+
+from splitslam.sim.place import Place
+from splitslam.sim.spec import PathSpec
+
+Array = NDArray[np.float64]
+
+_KNOT_S = 0.02
+_MARGIN_S = 1.0  # the spline goes on beyond both ends: no end effects inside the drive
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """At N times. R_world_lidar (N, 3, 3); position_m, velocity_mps, acceleration_mps2 (N, 3) in the world frame;
+    omega_radps, alpha_radps2 (N, 3): angular velocity and acceleration in the lidar frame."""
+
+    R_world_lidar: Array
+    position_m: Array
+    velocity_mps: Array
+    acceleration_mps2: Array
+    omega_radps: Array
+    alpha_radps2: Array
+
+
+class Trajectory:
+    """T_world_lidar as a function of the time since the drive's start, s."""
+
+    def __init__(self, spline: BSpline) -> None:
+        self._value = spline
+        self._rate = spline.derivative(1)
+        self._second = spline.derivative(2)
+
+    def poses(self, t_s: Array) -> tuple[Array, Array]:
+        """(N,) -> R_world_lidar (N, 3, 3), position (N, 3), m."""
+        state = self._value(t_s)
+        return _rotation(*state[:, 3:].T), state[:, :3]
+
+    def T_world_lidar(self, t_s: float) -> Array:
+        """One pose, (4, 4)."""
+        R, p = self.poses(np.array([t_s]))
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R[0], p[0]
+        return T
+
+    def motion(self, t_s: Array) -> Motion:
+        """(N,) -> pose and its exact derivatives."""
+        x, v, a = self._value(t_s), self._rate(t_s), self._second(t_s)
+        _, pitch, roll = x[:, 3:].T
+        dyaw, dpitch, droll = v[:, 3:].T
+        ddyaw, ddpitch, ddroll = a[:, 3:].T
+        sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
+        # Body rates of R = Rz(yaw) Ry(pitch) Rx(roll), and their time derivative.
+        omega = np.stack([droll - dyaw * sp, dpitch * cr + dyaw * cp * sr, -dpitch * sr + dyaw * cp * cr], axis=1)
+        alpha = np.stack(
+            [
+                ddroll - ddyaw * sp - dyaw * dpitch * cp,
+                ddpitch * cr - dpitch * droll * sr + ddyaw * cp * sr - dyaw * dpitch * sp * sr + dyaw * droll * cp * cr,
+                -ddpitch * sr
+                - dpitch * droll * cr
+                + ddyaw * cp * cr
+                - dyaw * dpitch * sp * cr
+                - dyaw * droll * cp * sr,
+            ],
+            axis=1,
+        )
+        return Motion(_rotation(*x[:, 3:].T), x[:, :3], v[:, :3], a[:, :3], omega, alpha)
+
+
+def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajectory:
+    """The way of `path` over the ground of `place`; good from 1 s before the start to 1 s after `duration_s`."""
+    t = np.arange(-_MARGIN_S, duration_s + _MARGIN_S + _KNOT_S, _KNOT_S)
+    way, length_m = _arc_length_curve(path)
+    distance, going = _progress(path, t)
+    if not path.closed and distance[-1] > length_m:
+        raise ValueError(f"the drive covers {distance[-1]:.1f} m, but its open path has only {length_m:.1f} m")
+    xy, tangent = way(distance)
+    heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    side = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+
+    step = 2 * np.pi * 1.8 * t  # two steps are one stride
+    sway = path.gait * going
+    xy = xy + (0.012 * sway * np.sin(step / 2))[:, None] * side
+    z = place.ground_m(xy[:, 0], xy[:, 1]) + path.height_m + 0.018 * sway * np.cos(step)
+    yaw = heading + _head_turns(path, t) + np.radians(1.2) * sway * np.sin(step / 2 + 0.7)
+    slope_m = 0.5
+    ahead, left = xy + slope_m * tangent, xy + slope_m * side
+    ground = place.ground_m(xy[:, 0], xy[:, 1])
+    pitch = -np.arctan((place.ground_m(ahead[:, 0], ahead[:, 1]) - ground) / slope_m)
+    roll = np.arctan((place.ground_m(left[:, 0], left[:, 1]) - ground) / slope_m)
+    pitch = pitch + np.radians(0.8) * sway * np.sin(step + 0.4)
+    roll = roll + np.radians(1.0) * sway * np.sin(step / 2 + 1.9)
+    return Trajectory(make_interp_spline(t, np.column_stack([xy, z, yaw, pitch, roll]), k=5))
+
+
+def _progress(path: PathSpec, t: Array) -> tuple[Array, Array]:
+    """Distance gone (m) and the envelope of the gait (0 .. 1)."""
+    if path.accel_s == 0.0:
+        return path.speed_mps * (t - t[0]), np.ones_like(t)
+    u = np.clip((t - path.stand_s) / path.accel_s, 0.0, 1.0)
+    going = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    ramp = path.accel_s * u**4 * (2.5 - 3.0 * u + u * u)
+    return path.speed_mps * (ramp + np.maximum(t - path.stand_s - path.accel_s, 0.0)), going
+
+
+def _head_turns(path: PathSpec, t: Array) -> Array:
+    yaw = np.zeros_like(t)
+    for turn in path.head_turns:
+        u = np.clip((t - turn.at_s) / turn.over_s, 0.0, 1.0)
+        yaw += np.radians(turn.yaw_deg) * 64.0 * (u * (1.0 - u)) ** 3
+    return yaw
+
+
+def _arc_length_curve(path: PathSpec):
+    """A smooth curve through the waypoints as a function of its length, and that length."""
+    points = np.array(path.waypoints_m, float)
+    if path.closed:
+        points = np.concatenate([points, points[:1]])
+    chord = np.concatenate([[0.0], np.cumsum(np.sqrt(np.linalg.norm(np.diff(points, axis=0), axis=1)))])
+    curve = make_interp_spline(chord, points, k=5 if path.closed else min(5, len(points) - 1),
+                               bc_type="periodic" if path.closed else None)  # fmt: skip
+    rate = curve.derivative()
+    u = np.linspace(0.0, chord[-1], 20_001)
+    speed = np.linalg.norm(rate(u), axis=1)
+    length = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(u))])
+    inverse = make_interp_spline(length, u, k=3)
+
+    def way(distance_m: Array) -> tuple[Array, Array]:
+        if path.closed:
+            laps = np.floor(distance_m / length[-1])
+            at = inverse(distance_m - laps * length[-1])
+        else:
+            at = inverse(distance_m)
+        tangent = rate(at)
+        return curve(at), tangent / np.linalg.norm(tangent, axis=1)[:, None]
+
+    return way, float(length[-1])
+
+
+def _rotation(yaw: Array, pitch: Array, roll: Array) -> Array:
+    cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    R = np.empty((len(yaw), 3, 3))
+    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = -sp, cp * sr, cp * cr
+    return R
