@@ -29,8 +29,8 @@ def merge(ring_a, column_a, ring_b, column_b, order):
     na, nb = len(ring_a), len(ring_b)
     a, b, previous = 0, 0, -1
     for n in range(na + nb):
-        key_a = (int(ring_a[a]) << 16) + int(column_a[a]) if a < na else 1 << 40
-        key_b = (int(ring_b[b]) << 16) + int(column_b[b]) if b < nb else 1 << 40
+        key_a = (np.int64(ring_a[a]) << 16) + np.int64(column_a[a]) if a < na else 1 << 40
+        key_b = (np.int64(ring_b[b]) << 16) + np.int64(column_b[b]) if b < nb else 1 << 40
         key = min(key_a, key_b)
         if key < previous:
             return False
@@ -89,17 +89,17 @@ def to_residuals(points, ring, column, t_offset_ns, per_column, table, direction
     t_decoded, first_t, first_column = 0, 0, 0
     fraction_a, fraction_b = 0, 0
     for i in range(len(points)):
-        c = int(column[i])
+        c = np.int64(column[i])
         starts = ring[i] != row
         if starts:
-            row = int(ring[i])
+            row = np.int64(ring[i])
             residuals[0, i] = c
             t_expected = first_t + ((per_column * (c - first_column)) >> 8)
         else:
             residuals[0, i] = c - last_column
             t_expected = t_decoded + ((per_column * (c - last_column)) >> 8)
         last_column = c
-        error = int(t_offset_ns[i]) - t_expected
+        error = np.int64(t_offset_ns[i]) - t_expected
         correction = 0
         if abs(error) > TIME_TOLERANCE_NS:
             correction = (error + TIME_UNIT_NS // 2) // TIME_UNIT_NS
@@ -118,9 +118,9 @@ def to_residuals(points, ring, column, t_offset_ns, per_column, table, direction
         u, v, w = ce * level + se * z, ca * y - sa * x, ce * z - se * level
         if not max(abs(u), max(abs(v), abs(w))) < LIMIT * step_m:
             return False
-        q[0] = int(math.floor(u / step_m + 0.5))
-        q[1] = int(math.floor(v / step_m + 0.5))
-        q[2] = int(math.floor(w / step_m + 0.5))
+        q[0] = np.int64(math.floor(u / step_m + 0.5))
+        q[1] = np.int64(math.floor(v / step_m + 0.5))
+        q[2] = np.int64(math.floor(w / step_m + 0.5))
         residuals[1, i] = q[0] - before[0]
         residuals[2, i] = q[1] - predict(fraction_a, q[0])
         residuals[3, i] = q[2] - predict(fraction_b, q[0])
@@ -142,25 +142,25 @@ def from_residuals(residuals, ring, per_column, table, directions, points, colum
     for i in range(len(points)):
         starts = ring[i] != row
         if starts:
-            row = int(ring[i])
-            c = int(residuals[0, i])
+            row = np.int64(ring[i])
+            c = np.int64(residuals[0, i])
             t_expected = first_t + ((per_column * (c - first_column)) >> 8)
         else:
-            c += int(residuals[0, i])
-            t_expected = t_decoded + ((per_column * int(residuals[0, i])) >> 8)
+            c += np.int64(residuals[0, i])
+            t_expected = t_decoded + ((per_column * np.int64(residuals[0, i])) >> 8)
         if c < 0 or c >= columns:
             return False
-        t_decoded = t_expected + TIME_UNIT_NS * int(residuals[4, i])
+        t_decoded = t_expected + TIME_UNIT_NS * np.int64(residuals[4, i])
         if abs(t_decoded) > 2147483647:
             return False
         if starts:
             first_t, first_column = t_decoded, c
 
-        along += int(residuals[1, i])
+        along += np.int64(residuals[1, i])
         if abs(along) > LIMIT:
             return False
-        a = predict(fraction_a, along) + int(residuals[2, i])
-        b = predict(fraction_b, along) + int(residuals[3, i])
+        a = predict(fraction_a, along) + np.int64(residuals[2, i])
+        b = predict(fraction_b, along) + np.int64(residuals[3, i])
         if abs(a) > LIMIT or abs(b) > LIMIT:
             return False
         fraction_a, fraction_b = blend(fraction_a, along, a), blend(fraction_b, along, b)
@@ -185,7 +185,7 @@ def split(values, signed, symbols, bits, position):
     mantissa, and the rest goes to `bits` (uint8, zeroed, LSB first) from bit `position` on. -1: a value is too large.
     """
     for i in range(len(values)):
-        value = int(values[i])
+        value = np.int64(values[i])
         u = ((value << 1) ^ (value >> 63)) if signed else value
         if u < 64:
             symbols[i] = u
@@ -207,7 +207,7 @@ def join(symbols, signed, bits, position, values):
     """The inverse of split; -1: `bits` ends too early."""
     end = 8 * len(bits)
     for i in range(len(symbols)):
-        symbol = int(symbols[i])
+        symbol = np.int64(symbols[i])
         u = symbol
         if symbol >= 64:
             e = 6 + ((symbol - 64) >> 3)
@@ -215,7 +215,7 @@ def join(symbols, signed, bits, position, values):
                 return -1
             u = (8 | ((symbol - 64) & 7)) << (e - 3)
             for k in range(e - 3):
-                u |= ((int(bits[position >> 3]) >> (position & 7)) & 1) << k
+                u |= ((np.int64(bits[position >> 3]) >> (position & 7)) & 1) << k
                 position += 1
         values[i] = ((u >> 1) ^ -(u & 1)) if signed else u
     return position
@@ -226,7 +226,7 @@ def neighbour_rates(ring, column, t_offset_ns, rates):
     """rates (N,) float64: ns a column between close neighbours in a ring; returns how many there are."""
     n = 0
     for i in range(1, len(ring)):
-        gap = int(column[i]) - int(column[i - 1])
+        gap = np.int64(column[i]) - np.int64(column[i - 1])
         if ring[i] == ring[i - 1] and 0 < gap <= 64:
             rates[n] = (t_offset_ns[i] - t_offset_ns[i - 1]) / gap
             n += 1
@@ -238,7 +238,7 @@ def mean_rate(ring, column, t_offset_ns, about):
     """ns a column over whole rings, leaving out the place where a scan begins and ends; `about` is a first guess."""
     time, columns = 0.0, 0
     for i in range(1, len(ring)):
-        gap = int(column[i]) - int(column[i - 1])
+        gap = np.int64(column[i]) - np.int64(column[i - 1])
         dt = t_offset_ns[i] - t_offset_ns[i - 1]
         if ring[i] == ring[i - 1] and abs(dt - about * gap) < 32.0 * abs(about):
             time += dt

@@ -29,7 +29,7 @@ def project(points, ring, cells, counts):
             continue
         # LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2; the angle in it is minus the azimuth
         v = math.atan2(points[i, 1], points[i, 0]) * per_rad
-        column = int(math.floor(v + 0.5)) + half if v >= 0.0 else half - int(math.floor(0.5 - v))
+        column = np.int64(math.floor(v + 0.5)) + half if v >= 0.0 else half - np.int64(math.floor(0.5 - v))
         if column >= columns:
             column -= columns
         if cells[row, column] >= 0:
@@ -82,7 +82,7 @@ def unreliable(range_m, column, masked):
     masked[:] = 0
     for i in range(5, n - 6):
         near, far = range_m[i], range_m[i + 1]
-        if abs(int(column[i + 1]) - int(column[i])) < 10:
+        if abs(np.int64(column[i + 1]) - np.int64(column[i])) < 10:
             if near - far > 0.3:
                 masked[i - 5 : i + 1] = 1
             elif far - near > 0.3:
@@ -131,11 +131,11 @@ def suppress(column, picked, i):
     """Marks a picked point and up to five neighbours each side, as far as the columns go on without a gap."""
     picked[i] = 1
     for l in range(1, 6):
-        if i + l >= len(column) or abs(int(column[i + l]) - int(column[i + l - 1])) > 10:
+        if i + l >= len(column) or abs(np.int64(column[i + l]) - np.int64(column[i + l - 1])) > 10:
             break
         picked[i + l] = 1
     for l in range(1, 6):
-        if i - l < 0 or abs(int(column[i - l]) - int(column[i - l + 1])) > 10:
+        if i - l < 0 or abs(np.int64(column[i - l]) - np.int64(column[i - l + 1])) > 10:
             break
         picked[i - l] = 1
 
@@ -175,9 +175,9 @@ def thin_surfs(points, rank, ring_start, leaf_m, table, sums, slot_of, kept):
         for i in range(start, end):
             if rank[i] > 0:
                 continue
-            ix = int(math.floor(points[i, 0] * inverse))
-            iy = int(math.floor(points[i, 1] * inverse))
-            iz = int(math.floor(points[i, 2] * inverse))
+            ix = np.int64(math.floor(points[i, 0] * inverse))
+            iy = np.int64(math.floor(points[i, 1] * inverse))
+            iz = np.int64(math.floor(points[i, 2] * inverse))
             s = (ix * 73856093 ^ iy * 19349669 ^ iz * 83492791) & mask
             while table[s, 0] == row + 1 and (table[s, 1] != ix or table[s, 2] != iy or table[s, 3] != iz):
                 s = (s + 1) & mask
@@ -205,7 +205,7 @@ def nearest_to_centroids(points, rank, span, sums, slot_of, kept):
             d = points[i, c] - sums[s, c] / sums[s, 3]
             d2 += d * d
         best_d2[i - span[0]] = d2
-        best = int(sums[s, 4]) - 1
+        best = np.int64(sums[s, 4]) - 1
         if best < 0 or d2 < best_d2[best - span[0]]:
             if best >= 0:
                 kept[best] = 0
