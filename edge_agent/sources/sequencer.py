@@ -1,0 +1,178 @@
+"""Releases a scan only when the IMU covers its end, and lets no bad time into a run."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter, deque
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket
+
+_JUMP_NS = 1_000_000_000  # a longer step ahead is believed only when the next message confirms it
+_MAX_WAITING = 20
+T = TypeVar("T", Scan, ImuSamples, GnssFix)
+
+
+class _Clock(Generic[T]):
+    """Keeps one stream's stamps strictly increasing.
+
+    A message that steps far ahead is held until the next one: if that follows it, there was a gap and both pass; if
+    that goes back to where the stream was, the held one's stamp was wrong and it is dropped as `time_jump`.
+    """
+
+    def __init__(self, prefix: str, dropped: Counter[str]) -> None:
+        self._prefix = prefix
+        self._dropped = dropped
+        self._last_ns: int | None = None
+        self._held: tuple[int, int, T] | None = None
+
+    def admit(self, first_ns: int, last_ns: int, item: T) -> list[T]:
+        """Messages that may pass now, in order."""
+        passed: list[T] = []
+        if self._held is not None:
+            held_first_ns, held_last_ns, held = self._held
+            if first_ns == held_first_ns:
+                self._drop("duplicate")
+                return passed
+            self._held = None
+            if first_ns > held_first_ns:
+                self._last_ns = held_last_ns
+                passed.append(held)
+            else:
+                self._drop("time_jump")
+        if self._last_ns is not None:
+            if first_ns <= self._last_ns:
+                self._drop("duplicate" if first_ns == self._last_ns else "time_backwards")
+                return passed
+            if first_ns - self._last_ns > _JUMP_NS:
+                self._held = (first_ns, last_ns, item)
+                return passed
+        self._last_ns = last_ns
+        passed.append(item)
+        return passed
+
+    def flush(self) -> list[T]:
+        """At the end of input nothing can contradict a held message."""
+        held, self._held = self._held, None
+        return [] if held is None else [held[2]]
+
+    def _drop(self, reason: str) -> None:
+        self._dropped[self._prefix + reason] += 1
+
+
+class Sequencer:
+    """Merges scans, IMU samples and GNSS fixes into what the pipeline takes, in order.
+
+    Out come IMU samples as they arrive, and each scan right after the first sample at or after its end; a chunk of
+    samples is split there. Fixes go with the next packet. Without an IMU a scan passes straight through.
+    dropped: messages left out by reason: duplicate, time_backwards, time_jump, nan, empty; with the prefix `imu_` or
+    `gnss_` for those streams.
+    uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended.
+    """
+
+    def __init__(self, *, imu: bool = True, dropped: Counter[str] | None = None) -> None:
+        self.dropped: Counter[str] = Counter() if dropped is None else dropped
+        self.uncovered = 0
+        self._imu = imu
+        self._covered_ns: int | None = None
+        self._waiting: deque[Scan] = deque()
+        self._fixes: list[GnssFix] = []
+        self._scan_clock = _Clock[Scan]("", self.dropped)
+        self._imu_clock = _Clock[ImuSamples]("imu_", self.dropped)
+        self._gnss_clock = _Clock[GnssFix]("gnss_", self.dropped)
+
+    def push(self, event: Scan | ImuSamples | GnssFix) -> list[ImuSamples | ScanPacket]:
+        """Takes one message; returns what may go to the pipeline now."""
+        if isinstance(event, ImuSamples):
+            return self._push_imu(event)
+        if isinstance(event, GnssFix):
+            self._fixes.extend(self._gnss_clock.admit(event.stamp_ns, event.stamp_ns, event))
+            return []
+        return self._push_scan(event)
+
+    def finish(self) -> list[ImuSamples | ScanPacket]:
+        """End of input: everything that still waits."""
+        out: list[ImuSamples | ScanPacket] = []
+        for samples in self._imu_clock.flush():
+            out.extend(self._emit(samples))
+        self._waiting.extend(self._scan_clock.flush())
+        while self._waiting:
+            out.append(self._release())
+        return out
+
+    def _push_scan(self, scan: Scan) -> list[ImuSamples | ScanPacket]:
+        if len(scan) == 0:
+            self.dropped["empty"] += 1
+            return []
+        if not np.isfinite(scan.points_lidar).all():
+            self.dropped["nan"] += 1
+            return []
+        self._waiting.extend(self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan))
+        out: list[ImuSamples | ScanPacket] = []
+        while self._waiting and (self._covers(self._waiting[0]) or len(self._waiting) > _MAX_WAITING):
+            out.append(self._release())
+        return out
+
+    def _push_imu(self, samples: ImuSamples) -> list[ImuSamples | ScanPacket]:
+        out: list[ImuSamples | ScanPacket] = []
+        finite = np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1)
+        if not finite.all():
+            self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
+        for run in _increasing_runs(_take(samples, finite)):
+            for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run):
+                out.extend(self._emit(passed))
+        return out
+
+    def _emit(self, samples: ImuSamples) -> list[ImuSamples | ScanPacket]:
+        """The samples, with each waiting scan put right after the first sample at or after its end."""
+        out: list[ImuSamples | ScanPacket] = []
+        done = 0
+        while self._waiting:
+            cover = int(np.searchsorted(samples.stamps_ns, self._waiting[0].end_ns))
+            if cover == len(samples):
+                break
+            if cover >= done:
+                out.append(_slice(samples, done, cover + 1))
+                done = cover + 1
+            self._covered_ns = int(samples.stamps_ns[done - 1])
+            out.append(self._release())
+        if done < len(samples):
+            out.append(_slice(samples, done, len(samples)))
+        self._covered_ns = int(samples.stamps_ns[-1])
+        return out
+
+    def _covers(self, scan: Scan) -> bool:
+        return not self._imu or (self._covered_ns is not None and self._covered_ns >= scan.end_ns)
+
+    def _release(self) -> ScanPacket:
+        scan = self._waiting.popleft()
+        if not self._covers(scan):
+            self.uncovered += 1
+        packet = ScanPacket(scan, tuple(self._fixes))
+        self._fixes.clear()
+        return packet
+
+
+def _take(samples: ImuSamples, keep: NDArray[np.bool_]) -> ImuSamples:
+    if keep.all():
+        return samples
+    return ImuSamples(samples.stamps_ns[keep], samples.gyro_radps[keep], samples.accel_mps2[keep])
+
+
+def _slice(samples: ImuSamples, start: int, stop: int) -> ImuSamples:
+    if start == 0 and stop == len(samples):
+        return samples
+    part = slice(start, stop)
+    return ImuSamples(samples.stamps_ns[part], samples.gyro_radps[part], samples.accel_mps2[part])
+
+
+def _increasing_runs(samples: ImuSamples) -> list[ImuSamples]:
+    """Cuts a chunk wherever its time does not go on by less than the jump limit."""
+    if len(samples) <= 1:
+        return [samples] if len(samples) else []
+    step_ns = np.diff(samples.stamps_ns)
+    cuts = [0, *(np.flatnonzero((step_ns <= 0) | (step_ns > _JUMP_NS)) + 1).tolist(), len(samples)]
+    return [_slice(samples, a, b) for a, b in itertools.pairwise(cuts)]
