@@ -133,3 +133,55 @@ def increment(a, b, out):
                 other = b[4 * j + c] - (a[4 * j + 3] if c == 3 else 0.0)
                 value += a[4 * j + r] * other
             out[r, c] = value
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def quaternion(R, row, out):
+    """out[row] (4,) = x y z w, w >= 0, of a rotation (3, 3 or 3, 4). Shepperd's method."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    i = 0
+    if R[1, 1] > R[0, 0]:
+        i = 1
+    if R[2, 2] > R[i, i]:
+        i = 2
+    q = out[row]
+    if trace >= R[i, i]:
+        q[0], q[1], q[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        q[3] = 1.0 + trace
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[i] = 1.0 + R[i, i] - R[j, j] - R[k, k]
+        q[j], q[k] = R[j, i] + R[i, j], R[k, i] + R[i, k]
+        q[3] = R[k, j] - R[j, k]
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if q[3] < 0.0:
+        norm = -norm
+    for c in range(4):
+        q[c] /= norm
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def split(poses, positions, quats):
+    """Rows of 3x4 (M, 12) -> positions (M, 3), quats (M, 4) x y z w."""
+    R = np.empty((3, 4))
+    for k in range(len(poses)):
+        for r in range(3):
+            for c in range(4):
+                R[r, c] = poses[k, 4 * r + c]
+            positions[k, r] = R[r, 3]
+        quaternion(R, k, quats)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def knots(poses, rotation, translation):
+    """Poses (K, 12) of T_odom_lidar -> T_start_lidar as rotation vectors (K, 3) and translations (K, 3)."""
+    D = np.empty((3, 4))
+    q = np.empty((1, 4))
+    for k in range(len(poses)):
+        increment(poses[0], poses[k], D)
+        quaternion(D, 0, q)
+        v = math.sqrt(q[0, 0] ** 2 + q[0, 1] ** 2 + q[0, 2] ** 2)
+        scale = 2.0 * math.atan2(v, q[0, 3]) / v if v > 1e-12 else 2.0
+        for c in range(3):
+            rotation[k, c] = scale * q[0, c]
+            translation[k, c] = D[c, 3]

@@ -135,7 +135,7 @@ class ImuNode:
             T_prev_lidar=T_prev_lidar,
             covariance=covariance,
             velocity_lidar_mps=velocity,
-            knots=self._knots(stamps[here:] - start_ns, states[here:], T_start),
+            knots=self._knots(stamps[here:] - start_ns, states[here:]),
             gravity_lidar=-R[2],
             gravity_sigma_rad=self._tilt_sigma_rad,
             velocity_known=self._answers >= 2,
@@ -144,12 +144,11 @@ class ImuNode:
     def _lidar_pose(self, row: Array) -> Array:
         return se3.compose(row[:9].reshape(3, 3), row[9:12]) @ self.T_imu_lidar
 
-    def _knots(self, offsets_ns: NDArray[np.int64], states: Array, T_start: Array) -> Knots:
-        rotation, translation = np.zeros((len(states), 3)), np.zeros((len(states), 3))
-        back = se3.inv(T_start)
-        for k in range(1, len(states)):
-            T = back @ self._lidar_pose(states[k])
-            rotation[k], translation[k] = se3.so3_log(T[:3, :3]), T[:3, 3]
+    def _knots(self, offsets_ns: NDArray[np.int64], states: Array) -> Knots:
+        poses = np.empty((len(states), 12))
+        kernels.emit(states, np.zeros((len(states), 6)), self.T_imu_lidar, poses)
+        rotation, translation = np.empty((len(states), 3)), np.empty((len(states), 3))
+        kernels.knots(poses, rotation, translation)
         return Knots(offsets_ns.astype(np.int64), rotation, translation)
 
     def _motion_covariance(self, interval_s: float, anchor: NavigationState, age_s: float) -> Array:
@@ -269,6 +268,6 @@ def _no_poses() -> OdomPoses:
 
 
 def _odom_poses(stamps_ns: NDArray[np.int64], poses: Array, velocities_mps: Array) -> OdomPoses:
-    matrices = poses.reshape(-1, 3, 4)
-    quats = np.stack([se3.quat_from_matrix(m[:, :3]) for m in matrices]) if len(matrices) else np.empty((0, 4))
-    return OdomPoses(stamps_ns, matrices[:, :, 3].copy(), quats, velocities_mps.copy())
+    positions, quats = np.empty((len(poses), 3)), np.empty((len(poses), 4))
+    kernels.split(poses, positions, quats)
+    return OdomPoses(stamps_ns, positions, quats, velocities_mps.copy())

@@ -67,3 +67,19 @@ def test_steps_measures_what_the_output_adds_to_the_imu_s_own_motion():
     # one step of 4 cm, and the lever of the last rotation on the offset that stays
     assert 0.039 < worst[0] < 0.05
     assert worst[1] < 1e-6
+
+
+def test_quaternions_positions_and_knots_are_those_of_the_poses():
+    rng = np.random.default_rng(3)
+    T = [se3.exp(np.concatenate([rng.normal(0, 1.5, 3), rng.normal(size=3)])) for _ in range(50)]
+    T[7] = se3.exp(np.array([np.pi, 0, 0, 0, 0, 0]))  # half a turn: the branch without a trace
+    poses = np.array([t[:3].reshape(-1) for t in T])
+    positions, quats = np.empty((50, 3)), np.empty((50, 4))
+    kernels.split(poses, positions, quats)
+    for t, p, q in zip(T, positions, quats, strict=True):
+        np.testing.assert_allclose(se3.from_quat(p, q), t, atol=1e-12)
+        assert q[3] >= 0
+    rotation, translation = np.empty((50, 3)), np.empty((50, 3))
+    kernels.knots(poses, rotation, translation)
+    for t, w, p in zip(T, rotation, translation, strict=True):
+        np.testing.assert_allclose(se3.compose(se3.so3_exp(w), p), se3.inv(T[0]) @ t, atol=1e-9)
