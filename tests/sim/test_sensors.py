@@ -49,6 +49,17 @@ def test_a_perfect_imu_integrates_to_the_truth() -> None:
     assert np.linalg.norm(truth[:3, 3] - T[:3, 3]) > 4.0
 
 
+def test_velocities_and_accelerations_are_the_derivatives_of_the_pose() -> None:
+    trajectory = make_trajectory(SHORT.path, WORLD.place, SHORT.duration_s)
+    t_s, h = np.linspace(0.2, 2.8, 40), 1e-5
+    before, now, after = (trajectory.motion(t_s + d) for d in (-h, 0.0, h))
+    turned = [se3.so3_log(a.T @ b) / (2 * h) for a, b in zip(before.R_world_lidar, after.R_world_lidar, strict=True)]
+    np.testing.assert_allclose(now.omega_radps, turned, atol=1e-6)
+    np.testing.assert_allclose(now.alpha_radps2, (after.omega_radps - before.omega_radps) / (2 * h), atol=1e-5)
+    np.testing.assert_allclose(now.velocity_mps, (after.position_m - before.position_m) / (2 * h), atol=1e-7)
+    np.testing.assert_allclose(now.acceleration_mps2, (after.velocity_mps - before.velocity_mps) / (2 * h), atol=1e-5)
+
+
 def test_imu_noise_has_the_density_of_the_robot_file() -> None:
     spec = replace(SHORT, duration_s=20.0, path=replace(SHORT.path, stand_s=25.0, head_turns=()))
     samples = simulate_imu(spec, make_trajectory(spec.path, WORLD.place, spec.duration_s))
