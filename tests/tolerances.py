@@ -25,3 +25,5 @@ RESTART_ATE_M = 0.002
 YARD1_UPLINK_KBPS = 1_500.0
 # Real time: how much longer than the recording a run by the clock may take.
 REALTIME_SLACK_S = 2.0
+# The negative control: without deskew the trajectory must be at least this many times worse (seen: 10 to 20).
+DESKEW_OFF_WORSE_RATIO = 3.0
