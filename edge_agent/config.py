@@ -76,7 +76,7 @@ class MetricsConfig(Model):
     """port: null: no /metrics; 0: any free port, which is printed."""
 
     port: Port | None = 9464
-    address: str = "127.0.0.1"
+    host: str = "127.0.0.1"
 
 
 class FeedConfig(Model):
@@ -87,6 +87,13 @@ class FeedConfig(Model):
     queue_samples: Annotated[int, Field(ge=1)] = 1000
 
 
+class LogConfig(Model):
+    """Log lines on stderr."""
+
+    format: Literal["console", "json"] = "console"
+    level: Literal["debug", "info", "warning", "error"] = "warning"
+
+
 class AgentConfig(Model):
     """Everything `edge-agent run` reads."""
 
@@ -94,12 +101,13 @@ class AgentConfig(Model):
     server: Annotated[str, AfterValidator(_server)] = "127.0.0.1:50051"
     source: SourceConfig
     output: OutputConfig = OutputConfig()
-    pipeline: PipelineSettings = Field(default_factory=PipelineSettings)
-    imu: ImuSettings = Field(default_factory=ImuSettings)
+    pipeline: PipelineSettings = PipelineSettings()
+    imu: ImuSettings = ImuSettings()
     disable: tuple[Part, ...] = ()
     uplink: UplinkConfig = UplinkConfig()
     metrics: MetricsConfig = MetricsConfig()
     feed: FeedConfig = FeedConfig()
+    log: LogConfig = LogConfig()
     state_dir: Path | None = None
     site_id: str = ""
     map_id: str = ""

@@ -111,12 +111,12 @@ class EdgeMetrics:
         self._gauge("tcp_sent_bytes", "TCP payload sent, framing included").set_function(sent)
         self._gauge("tcp_received_bytes", "TCP payload received, framing included").set_function(received)
 
-    def serve(self, address: str, port: int) -> int:
+    def serve(self, host: str, port: int) -> int:
         """Opens /metrics and returns its port (0: any free one). Raises InputError when it cannot."""
         try:
-            self._server, _ = start_http_server(port, address, self.registry)
+            self._server, _ = start_http_server(port, host, self.registry)
         except OSError as error:
-            raise InputError(f"metrics.port {port}: expected a free port on {address} ({error.strerror})") from None
+            raise InputError(f"metrics.port {port}: expected a free port on {host} ({error.strerror})") from None
         return self._server.server_port
 
     def close(self) -> None:

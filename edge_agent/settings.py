@@ -12,28 +12,28 @@ from splitslam.config import Model
 class FeatureSettings(Model):
     """What becomes a corner or a surf."""
 
-    corner_threshold_m2: float = Field(1.0, gt=0)
-    surf_threshold_m2: float = Field(0.1, gt=0)
-    corners_per_sector: int = Field(20, ge=1)
-    sectors: int = Field(6, ge=1)
-    surf_leaf_m: float = Field(0.4, gt=0)
-    sparse_corners: int = Field(300, ge=0)
-    sparse_surfs: int = Field(1200, ge=0)
+    corner_threshold_m2: float = Field(default=1.0, gt=0)
+    surf_threshold_m2: float = Field(default=0.1, gt=0)
+    corners_per_sector: int = Field(default=20, ge=1)
+    sectors: int = Field(default=6, ge=1)
+    surf_leaf_m: float = Field(default=0.4, gt=0)
+    sparse_corners: int = Field(default=300, ge=0)
+    sparse_surfs: int = Field(default=1200, ge=0)
 
 
 class DenseSettings(Model):
     """When a frame carries all its features, so that the map service can make a keyframe of it."""
 
-    first_frames: int = Field(3, ge=1)
-    distance_m: float = Field(1.0, ge=0)
-    angle_rad: float = Field(0.2, ge=0)
+    first_frames: int = Field(default=3, ge=1)
+    distance_m: float = Field(default=1.0, ge=0)
+    angle_rad: float = Field(default=0.2, ge=0)
 
 
 class PipelineSettings(Model):
     """Image and Feature node."""
 
     deskew: Literal["auto", "reference", "cpu", "fpga", "cosim", "off", "rotation"] = "auto"
-    min_points: int = Field(100, ge=1)
-    step_m: float = Field(0.01, gt=1e-4, le=0.5)
+    min_points: int = Field(default=100, ge=1)
+    step_m: float = Field(default=0.01, gt=1e-4, le=0.5)
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()

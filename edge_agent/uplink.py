@@ -126,11 +126,15 @@ class Uplink:
             self._raise_failure()
             return self.finished
 
-    def close(self) -> None:
-        """Ends the stream, without Bye unless `finish` was called: the session can be resumed."""
+    def stop(self) -> None:
+        """Whoever waits goes on at once, and the stream ends."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
+
+    def close(self) -> None:
+        """Ends the stream, without Bye unless `finish` was called: the session can be resumed."""
+        self.stop()
         if self._thread.is_alive():
             self._thread.join()
         self._meter.settle()

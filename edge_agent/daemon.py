@@ -1,0 +1,194 @@
+"""`edge-agent run`: puts the parts together, runs them to the end of input or a signal, and takes them apart."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from contextlib import ExitStack
+from typing import Any
+
+from edge_agent.config import AgentConfig
+from edge_agent.feed import PoseFeed
+from edge_agent.imu.node import ImuNode
+from edge_agent.loop import AgentLoop, Parts
+from edge_agent.metrics import EdgeMetrics
+from edge_agent.outputs import Outputs
+from edge_agent.pipeline import EdgePipeline
+from edge_agent.reader import EventQueue, Reader
+from edge_agent.run_id import RunState
+from edge_agent.sink import AgentSink, Progress
+from edge_agent.sources import Recording, open_recording
+from edge_agent.sources.sequencer import Sequencer
+from edge_agent.tally import Tally, stage_summaries
+from edge_agent.uplink import Uplink
+from edge_agent.warm_up import warm_up
+from edge_agent.wire import WIRE_VERSION
+from splitslam import __version__
+from splitslam.codec import CODEC_VERSION
+from splitslam.errors import InputError
+from splitslam.robot import Robot, load_robot, robot_to_yaml
+from splitslam.wire import session_pb2 as pb
+
+_log = logging.getLogger(__name__)
+
+
+def run_agent(config: AgentConfig, stop: threading.Event) -> None:
+    """Runs until the source ends or `stop` is set; then the session stays open, to be resumed.
+
+    Raises InputError for what the user can mend; nothing half-written is left behind.
+    """
+    robot = _robot(config)
+    recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
+    for note in recording.notes:
+        print(note, file=sys.stderr)
+    with ExitStack() as cleanup:
+        metrics = EdgeMetrics(keep=config.output.dir is not None)
+        if config.metrics.port is not None:
+            port = metrics.serve(config.metrics.host, config.metrics.port)
+            cleanup.callback(metrics.close)
+            if config.metrics.port == 0:
+                print(f"metrics on http://{config.metrics.host}:{port}/metrics", file=sys.stderr)
+        outputs = Outputs(config.output.dir) if config.output.dir else None
+        if outputs is not None:
+            cleanup.callback(outputs.discard)  # does nothing once they are published
+        _Run(config, robot, recording, metrics, outputs, cleanup).run(stop)
+
+
+def _robot(config: AgentConfig) -> Robot:
+    """The robot as this run uses it: what is switched off is not there."""
+    off = {part: None for part in ("imu", "gnss") if part in config.disable}
+    return load_robot(config.robot).model_copy(update=off)
+
+
+class _Run:
+    """One run's parts, in the order in which they start; `cleanup` takes them apart in the reverse one."""
+
+    def __init__(
+        self,
+        config: AgentConfig,
+        robot: Robot,
+        recording: Recording,
+        metrics: EdgeMetrics,
+        outputs: Outputs | None,
+        cleanup: ExitStack,
+    ) -> None:
+        self._config, self._recording, self._metrics, self._outputs = config, recording, metrics, outputs
+        source = config.source
+        beams = recording.beam_elevations_rad
+        self._imu = ImuNode(robot, config.imu)
+        self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
+        warm_up(robot, config.pipeline, config.imu, beams)
+        self._run_state = RunState(config.state_dir)
+        self._run_id = self._run_state.open()
+        self._uplink = Uplink(config.server, self._hello(robot), config.uplink, metrics)
+        queue = EventQueue(source.queue_scans, source.realtime, metrics)
+        self._queue, self._reader = queue, Reader(recording.events(), queue, source.realtime)
+        feed = None
+        if config.feed.socket is not None:
+            feed = PoseFeed(config.feed, config.feed.socket, robot.T_body_lidar, metrics)
+            cleanup.callback(feed.close)
+        self._tally = Tally(keep=config.output.dir is not None)
+        self._progress = Progress(config.output.progress)
+        self._sequencer = Sequencer(robot)
+        self._sink = AgentSink(
+            tally=self._tally,
+            outputs=outputs,
+            feed=feed,
+            progress=self._progress,
+            run=self._run_id,
+            run_state=self._run_state,
+            reader_cpu_s=lambda: self._reader.cpu_s,
+            report_drops=lambda: self._uplink.report_drops(self._dropped()),
+        )
+        cleanup.callback(self._uplink.close)
+        cleanup.callback(self._reader.stop)
+
+    def _hello(self, robot: Robot) -> pb.Hello:
+        config = self._config
+        return pb.Hello(
+            robot_id=robot.robot.id,
+            run_id=self._run_id.value,
+            robot_file_yaml=robot_to_yaml(robot),
+            beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
+            wire_version=WIRE_VERSION,
+            codec_version=CODEC_VERSION,
+            site_id=config.site_id,
+            map_id=config.map_id,
+            agent_version=__version__,
+            deskew=self._pipeline.deskewer.name,
+            disable=list(config.disable),
+            lockstep=not config.source.realtime,
+        )
+
+    def run(self, stop: threading.Event) -> None:
+        """Connect, read, process, say Bye, report."""
+        watcher = threading.Thread(target=self._watch, args=(stop,), name="stopper", daemon=True)
+        watcher.start()
+        self._uplink.start()
+        if (welcome := self._uplink.wait_welcome()) is None:
+            return
+        loop = self._loop(welcome)
+        self._progress.start(self._config.source.max_scans)
+        self._reader.start()
+        loop.run(self._queue.batches())
+        finished = None
+        if not stop.is_set() and loop.finish():
+            self._tally.end(self._reader.cpu_s)
+            self._nothing_usable()
+            self._uplink.report_drops(self._dropped())
+            finished = self._uplink.finish(self._pipeline.seq)
+        if finished is not None:
+            self._run_state.forget()
+        else:
+            self._tally.end(self._reader.cpu_s)
+        self._uplink.close()
+        if self._outputs is not None:
+            self._outputs.publish(self._report(welcome.session_id, finished is None))
+        self._progress.end(self._sink.read, self._tally.mapped)
+
+    def _watch(self, stop: threading.Event) -> None:
+        stop.wait()
+        self._reader.stop()
+        self._uplink.stop()
+
+    def _loop(self, welcome: pb.Welcome) -> AgentLoop:
+        """A continued run goes on after the last scan that the service has; what was in memory went with the agent."""
+        skip_to_ns = -1
+        if self._run_id.continued and welcome.applied_seq:
+            self._pipeline.seq = welcome.applied_seq
+            self._tally.first_seq = welcome.applied_seq + 1
+            skip_to_ns = max((pose.stamp_ns for pose in welcome.last_poses), default=-1)
+            _log.warning("run %s continued after scan %d", self._run_id.value, welcome.applied_seq)
+        parts = Parts(self._sequencer, self._imu, self._pipeline, self._uplink, self._sink, self._metrics)
+        return AgentLoop(parts, not self._config.source.realtime, skip_to_ns)
+
+    def _nothing_usable(self) -> None:
+        if self._pipeline.seq == 0:
+            why = ", ".join(f"{count} {reason}" for reason, count in sorted(self._dropped().items())) or "none in it"
+            raise InputError(f"{self._config.source.recording}: no usable scans ({why}); expected at least one")
+
+    def _dropped(self) -> dict[str, int]:
+        """Everything lost so far by reason: while reading, while sequencing, and after."""
+        return dict(self._metrics.dropped + self._recording.dropped + self._sequencer.dropped)
+
+    def _report(self, session_id: str, stopped: bool) -> dict[str, Any]:
+        """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""
+        tally, counts = self._tally, self._recording.counts
+        recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
+        jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
+        read = counts.scans_read
+        return {
+            "session_id": session_id,
+            "run_id": self._run_id.value,
+            "stopped": stopped,
+            "scans": {"read": read, "sent": tally.sent, "mapped": tally.mapped, "dropped": read - tally.mapped},
+            "recording_s": recording_s,
+            **tally.times(),
+            **stage_summaries(self._metrics),
+            **tally.link(self._uplink.tcp_bytes(), recording_s, counts.imu_messages, counts.native_bytes),
+            "jumps": jumps,
+            "imu_resets": self._imu.resets,
+            "dropped_by_reason": self._dropped(),
+            **tally.by_scan(),
+        }

@@ -1,0 +1,185 @@
+"""The agent's one working thread: sensor events in, frames out, answers back to the Imu node.
+
+Lockstep: scan k is processed after exactly the answers to scans <= k - 2, so that a run can be repeated to the byte.
+By the clock: answers are applied as they come and nobody waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.metrics import EdgeMetrics
+from edge_agent.reader import Event
+from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
+from edge_agent.wire import Answer
+from splitslam.errors import DataError
+from splitslam.scan import ImuSamples, Scan, ScanPacket
+from splitslam.wire import session_pb2 as pb
+
+UNANCHORED = 4
+_LAG = 2  # scan k sees the odometry of scans <= k - 2
+
+
+class Pipeline(Protocol):
+    """edge_agent.pipeline.EdgePipeline."""
+
+    seq: int
+
+    def process(self, packet: ScanPacket) -> EncodedFrame: ...
+
+
+class Imu(Protocol):
+    """edge_agent.imu.node.ImuNode."""
+
+    T_map_odom: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    state: int
+
+    def add_imu(self, samples: ImuSamples) -> OdomPoses: ...
+    def T_odom_lidar_at(self, stamp_ns: int) -> NDArray[np.float64]: ...
+    def on_odometry(self, reply: OdometryReply) -> None: ...
+
+
+class Sequencer(Protocol):
+    """edge_agent.sources.sequencer.Sequencer."""
+
+    def push(self, event: Event) -> Sequence[ImuSamples | ScanPacket]: ...
+    def finish(self) -> Sequence[ImuSamples | ScanPacket]: ...
+
+
+class Uplink(Protocol):
+    """edge_agent.uplink.Uplink, what the loop uses of it."""
+
+    @property
+    def anchored(self) -> bool: ...
+    def send(self, frame: pb.Frame) -> None: ...
+    def take_answers(self) -> list[Answer]: ...
+    def wait_answered(self, seq: int) -> bool: ...
+
+
+class Sink(Protocol):
+    """Where results go: edge_agent.sink.AgentSink."""
+
+    def on_scan_read(self, scan: Scan) -> None: ...
+    def on_scan_begun(self) -> None: ...
+    def on_frame(self, frame: EncodedFrame, T_odom_lidar: NDArray[np.float64]) -> pb.Frame: ...
+    def on_answer(self, answer: Answer) -> None: ...
+    def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What the loop drives."""
+
+    sequencer: Sequencer
+    imu: Imu
+    pipeline: Pipeline
+    uplink: Uplink
+    sink: Sink
+    metrics: EdgeMetrics
+
+
+class AgentLoop:
+    """Runs one recording or one live run; single-threaded. skip_to_ns: scans up to there are mapped already."""
+
+    def __init__(self, parts: Parts, lockstep: bool, skip_to_ns: int = -1) -> None:
+        self._parts, self._lockstep, self._skip_to_ns = parts, lockstep, skip_to_ns
+        self._held_back: list[Answer] = []
+        self.stopped = False
+
+    def run(self, batches: Iterable[list[Event]]) -> None:
+        """Until the batches end or the uplink is stopped. Then every frame is answered, unless stopped."""
+        parts = self._parts
+        for batch in batches:
+            if not self._lockstep:
+                self._apply_answers(None)
+            items: list[ImuSamples | ScanPacket] = []
+            for event in batch:
+                if isinstance(event[1], Scan):
+                    parts.sink.on_scan_read(event[1])
+                items += parts.sequencer.push(event)
+            self._take(items)
+            if self.stopped:
+                return
+
+    def finish(self) -> bool:
+        """End of input: the last scan, then all answers. False when the uplink was stopped meanwhile."""
+        parts = self._parts
+        self._take(list(parts.sequencer.finish()))
+        if self.stopped or not parts.uplink.wait_answered(parts.pipeline.seq):
+            return False
+        self._apply_answers(None)
+        return True
+
+    def _take(self, items: list[ImuSamples | ScanPacket]) -> None:
+        """Neighbouring samples go to the Imu node together: one call costs far more than one sample."""
+        samples: list[ImuSamples] = []
+        for item in items:
+            if isinstance(item, ImuSamples):
+                samples.append(item)
+                continue
+            self._take_samples(samples)
+            samples = []
+            self._take_packet(item)
+            if self.stopped:
+                return
+        self._take_samples(samples)
+
+    def _take_samples(self, samples: list[ImuSamples]) -> None:
+        if not samples:
+            return
+        imu = self._parts.imu
+        poses = imu.add_imu(samples[0] if len(samples) == 1 else _joined(samples))
+        if len(poses.stamps_ns):
+            self._parts.sink.on_poses(poses, imu, self._state())
+
+    def _take_packet(self, packet: ScanPacket) -> None:
+        parts = self._parts
+        if packet.scan.stamp_ns <= self._skip_to_ns:
+            return
+        if self._lockstep:
+            seen_seq = parts.pipeline.seq + 1 - _LAG
+            if not parts.uplink.wait_answered(seen_seq):
+                self.stopped = True
+                return
+            self._apply_answers(seen_seq)
+        else:
+            self._apply_answers(None)
+        parts.sink.on_scan_begun()
+        try:
+            frame = parts.pipeline.process(packet)
+        except DataError as error:
+            parts.metrics.drop(error.reason)
+            return
+        parts.metrics.stages(frame.stage_cpu_ms, frame.stage_wall_ms)
+        parts.uplink.send(parts.sink.on_frame(frame, parts.imu.T_odom_lidar_at(frame.stamp_ns)))
+
+    def _apply_answers(self, up_to_seq: int | None) -> None:
+        """Hands answers to the Imu node in seq order; later ones than `up_to_seq` are held back."""
+        parts = self._parts
+        self._held_back += parts.uplink.take_answers()
+        self._held_back.sort(key=lambda answer: answer.reply.seq)
+        while self._held_back and (up_to_seq is None or self._held_back[0].reply.seq <= up_to_seq):
+            answer = self._held_back.pop(0)
+            parts.metrics.round_trip.observe_s(answer.round_trip_s)
+            if answer.reply.rejected:
+                parts.metrics.drop(f"rejected_{answer.reply.rejected}")
+            parts.imu.on_odometry(answer.reply)
+            parts.sink.on_answer(answer)
+        parts.metrics.state.set(self._state())
+
+    def _state(self) -> int:
+        return self._parts.imu.state if self._lockstep or self._parts.uplink.anchored else UNANCHORED
+
+
+def _joined(samples: list[ImuSamples]) -> ImuSamples:
+    return ImuSamples(
+        np.concatenate([s.stamps_ns for s in samples]),
+        np.concatenate([s.gyro_radps for s in samples]),
+        np.concatenate([s.accel_mps2 for s in samples]),
+    )

@@ -1,0 +1,145 @@
+"""Reading and decoding in a thread of its own, and the bounded queue to the loop that processes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+from edge_agent.metrics import EdgeMetrics
+from splitslam.scan import GnssFix, ImuSamples, Scan
+
+Event = tuple[int, Scan | ImuSamples | GnssFix]
+_BATCH = 256  # events without a scan that are handed over together
+_MAX_EVENTS = 100_000
+_TICK_S = 0.005  # by the clock, what is due within one tick travels together
+
+
+class EventQueue:
+    """Batches of events from one reader to one loop.
+
+    At most `max_scans` scans wait: by the clock the oldest is dropped and counted, otherwise the reader waits.
+    """
+
+    def __init__(self, max_scans: int, may_drop: bool, metrics: EdgeMetrics) -> None:
+        self._max_scans, self._may_drop, self._metrics = max_scans, may_drop, metrics
+        self._batches: deque[list[Event]] = deque()
+        self._scans = self._events = 0
+        self._changed = threading.Condition()
+        self._ended = False
+        self._closed = False
+        self._error: BaseException | None = None
+
+    def put(self, batch: list[Event]) -> bool:
+        """Adds a batch; False when nobody reads any more."""
+        with self._changed:
+            if not self._may_drop:
+                self._changed.wait_for(lambda: self._scans < self._max_scans or self._closed)
+            self._batches.append(batch)
+            self._scans += _scans(batch)
+            self._events += len(batch)
+            while self._may_drop and self._scans > self._max_scans:
+                self._drop_oldest_scan()
+            while self._may_drop and self._events > _MAX_EVENTS and len(self._batches) > 1:
+                self._drop_oldest_batch()
+            self._metrics.queue_events.set(self._events)
+            self._changed.notify_all()
+            return not self._closed
+
+    def _drop_oldest_scan(self) -> None:
+        batch = next(b for b in self._batches if _scans(b))
+        index = next(i for i, (_, data) in enumerate(batch) if isinstance(data, Scan))
+        del batch[index]
+        self._scans -= 1
+        self._events -= 1
+        self._metrics.drop("queue_full")
+
+    def _drop_oldest_batch(self) -> None:
+        batch = self._batches.popleft()
+        self._scans -= _scans(batch)
+        self._events -= len(batch)
+        self._metrics.drop("queue_full", len(batch))
+
+    def end(self, error: BaseException | None = None) -> None:
+        """No more batches; `error` is raised in the loop after the last one."""
+        with self._changed:
+            self._ended, self._error = True, error
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """The loop wants no more: whoever waits goes on at once."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def batches(self) -> Iterator[list[Event]]:
+        """The batches in order, until the end or `close`."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._batches or self._ended or self._closed)
+                if self._closed:
+                    return
+                if not self._batches:
+                    if self._error is not None:
+                        raise self._error
+                    return
+                batch = self._batches.popleft()
+                self._scans -= _scans(batch)
+                self._events -= len(batch)
+                self._metrics.queue_events.set(self._events)
+                self._changed.notify_all()
+            yield batch
+
+
+def _scans(batch: list[Event]) -> int:
+    return sum(isinstance(data, Scan) for _, data in batch)
+
+
+class Reader(threading.Thread):
+    """Pulls events (bag reading, packet decoding) and queues them; `cpu_s` is what that has cost so far.
+
+    realtime: each event waits until as much time has passed as lies between it and the first in the recording.
+    Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
+    """
+
+    def __init__(self, events: Iterable[Event], queue: EventQueue, realtime: bool) -> None:
+        super().__init__(name="reader", daemon=True)
+        self._events, self._queue, self._realtime = events, queue, realtime
+        self._stopped = threading.Event()
+        self.cpu_s = 0.0
+
+    def stop(self) -> None:
+        self._stopped.set()
+        self._queue.close()
+
+    def run(self) -> None:
+        error: BaseException | None = None
+        try:
+            self._read()
+        except BaseException as caught:  # it belongs to the loop, which waits for it
+            error = caught
+        self._queue.end(error)
+
+    def _read(self) -> None:
+        batch: list[Event] = []
+        origin_s: float | None = None
+        for event in self._events:
+            self.cpu_s = time.thread_time()
+            if self._realtime:
+                origin_s = time.monotonic() - event[0] * 1e-9 if origin_s is None else origin_s
+                wait_s = origin_s + event[0] * 1e-9 - time.monotonic()
+                if wait_s > 0:
+                    if batch and not self._queue.put(batch):
+                        return
+                    batch = []
+                    self._stopped.wait(max(wait_s, _TICK_S))
+            batch.append(event)
+            if isinstance(event[1], Scan) or len(batch) >= _BATCH:
+                if not self._queue.put(batch):
+                    return
+                batch = []
+            if self._stopped.is_set():
+                return
+        self._queue.put(batch)
+        self.cpu_s = time.thread_time()

@@ -1,0 +1,99 @@
+"""Where the loop's results go: files, the local feed, the run's tally, progress lines, the run's identity."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.feed import PoseFeed
+from edge_agent.loop import Imu
+from edge_agent.outputs import Outputs
+from edge_agent.run_id import RunId, RunState
+from edge_agent.tally import Tally
+from edge_agent.types import EncodedFrame, OdomPoses
+from edge_agent.wire import Answer, frame_message
+from splitslam.codec import CODEC_VERSION
+from splitslam.scan import Scan
+from splitslam.wire import session_pb2 as pb
+
+_PROGRESS_EVERY_S = 0.1
+
+
+class Progress:
+    """JSON lines on stdout for whoever started the agent, at most ten scan lines a second."""
+
+    def __init__(self, on: bool) -> None:
+        self._on = on
+        self._last_s = float("-inf")
+
+    def start(self, scans: int | None) -> None:
+        self._line(event="start", scans=scans)
+
+    def scan(self, read: int, mapped: int) -> None:
+        now_s = time.monotonic()
+        if now_s - self._last_s >= _PROGRESS_EVERY_S:
+            self._last_s = now_s
+            self._line(event="scan", read=read, mapped=mapped)
+
+    def end(self, read: int, mapped: int) -> None:
+        self._line(event="scan", read=read, mapped=mapped)
+        self._line(event="end")
+
+    def _line(self, **fields: Any) -> None:
+        if self._on:
+            print(json.dumps(fields), file=sys.stdout, flush=True)
+
+
+@dataclass(slots=True)
+class AgentSink:
+    """Implements edge_agent.loop.Sink; outputs and feed may be switched off (None)."""
+
+    tally: Tally
+    outputs: Outputs | None
+    feed: PoseFeed | None
+    progress: Progress
+    run: RunId
+    run_state: RunState
+    reader_cpu_s: Callable[[], float]
+    report_drops: Callable[[], None]
+    read: int = 0
+
+    def on_scan_read(self, scan: Scan) -> None:
+        """A scan came out of the queue."""
+        self.read += 1
+        self.tally.valid_points += len(scan)
+
+    def on_scan_begun(self) -> None:
+        """A scan goes into the pipeline."""
+        self.tally.begin(self.reader_cpu_s())
+
+    def on_frame(self, frame: EncodedFrame, T_odom_lidar: NDArray[np.float64]) -> pb.Frame:
+        """A frame is ready; returns it as it goes on the wire. T_odom_lidar: (4, 4), at its stamp."""
+        self.tally.frame(frame)
+        if self.outputs is not None:
+            self.outputs.odom(frame.stamp_ns, T_odom_lidar)
+        self.run_state.save(self.run)
+        self.report_drops()
+        return frame_message(frame, CODEC_VERSION, self.run.value)
+
+    def on_answer(self, answer: Answer) -> None:
+        """The Imu node has the answer."""
+        self.tally.answer(answer)
+        reply = answer.reply
+        if self.outputs is not None and not reply.rejected:
+            self.outputs.online(reply.stamp_ns, reply.T_map_lidar)
+        self.progress.scan(self.read, self.tally.mapped)
+
+    def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None:
+        """New IMU-rate poses."""
+        if self.outputs is not None:
+            self.outputs.imu(poses, imu.T_map_odom)
+        if self.feed is not None:
+            self.feed.publish(poses, imu.T_map_odom, imu.covariance, state)
