@@ -118,7 +118,7 @@ class Sequencer:
 
     def _push_imu(self, samples: ImuSamples) -> list[ImuSamples | ScanPacket]:
         out: list[ImuSamples | ScanPacket] = []
-        finite = np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1)
+        finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
         if not finite.all():
             self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
         for run in _increasing_runs(_take(samples, finite)):
