@@ -1,0 +1,120 @@
+"""Kernels against naive twins; also run with NUMBA_DISABLE_JIT=1 (tests/codec/test_without_jit.py)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_agent.features import _kernels as kernels
+from tests.features import naive
+
+
+def ranges(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Walls, steps and noise: all branches of the marks and many corners."""
+    steps = np.repeat(rng.uniform(2, 12, n // 9 + 1), 9)[:n]
+    return (steps + rng.normal(0, 0.02, n) + 0.3 * (rng.random(n) < 0.1)).astype(np.float32)
+
+
+def columns_with_gaps(rng: np.random.Generator, ring_start: np.ndarray) -> np.ndarray:
+    column = np.empty(ring_start[-1], np.uint16)
+    for a, b in zip(ring_start[:-1], ring_start[1:], strict=True):
+        column[a:b] = np.cumsum(np.where(rng.random(b - a) < 0.05, rng.integers(2, 25, b - a), 1))
+    return column
+
+
+@pytest.mark.parametrize(("rings", "columns"), [(4, 36), (16, 1800), (5, 2048)])
+def test_projection_is_lio_sams_and_the_first_return_wins(rings: int, columns: int):
+    rng = np.random.default_rng(rings)
+    n = 600
+    # keep off the cells' borders, where float32 and float64 may round apart
+    azimuth = 2 * np.pi / columns * (rng.integers(0, columns, n) + rng.uniform(-0.49, 0.49, n))
+    azimuth[:8] = np.array([0, 0.5, 1, 1.5, 2, -0.5, -1, 0.25]) * np.pi
+    r = rng.uniform(1, 50, n)
+    points = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), rng.normal(size=n)], axis=1).astype(np.float32)
+    ring = rng.integers(0, rings + 1, n).astype(np.uint8)
+    cells = np.empty((rings, columns), np.int32)
+    counts = np.empty(2, np.int64)
+    kernels.project(points, ring, cells, counts)
+    expected, taken, outside = naive.project(points, ring, rings, columns)
+    assert {(r, c): int(cells[r, c]) for r, c in np.argwhere(cells >= 0)} == expected
+    assert counts.tolist() == [taken, outside]
+    assert taken > 0
+    assert outside > 0
+
+
+def test_gather_lays_points_out_by_ring_then_column():
+    rng = np.random.default_rng(0)
+    cells = np.full((5, 40), -1, np.int32)
+    filled = rng.choice(200, 60, replace=False)
+    cells.reshape(-1)[filled] = rng.permutation(60)
+    cells[2] = -1  # a ring without returns
+    points = rng.normal(size=(60, 3)).astype(np.float32)
+    total = int((cells >= 0).sum())
+    out, range_m = np.empty((200, 3), np.float32), np.empty(200, np.float32)
+    column, source, start = np.empty(200, np.uint16), np.empty(200, np.int32), np.empty(6, np.int32)
+    n = kernels.gather(cells, points, out, range_m, column, source, start)
+    order = [(r, c, int(cells[r, c])) for r in range(5) for c in range(40) if cells[r, c] >= 0]
+    assert n == total == len(order)
+    np.testing.assert_array_equal(source[:n], [i for _, _, i in order])
+    np.testing.assert_array_equal(column[:n], [c for _, c, _ in order])
+    np.testing.assert_array_equal(out[:n], points[source[:n]])
+    np.testing.assert_allclose(range_m[:n], np.linalg.norm(points[source[:n]], axis=1), rtol=1e-6)
+    assert start.tolist() == [sum(r < k for r, _, _ in order) for k in range(6)]
+
+
+@pytest.mark.parametrize("n", [0, 3, 10, 11, 12, 300])
+def test_curvature_is_the_squared_sum_of_range_differences(n: int):
+    r = ranges(np.random.default_rng(n), n)
+    out = np.full(n, np.nan, np.float32)
+    kernels.smoothness(r, out)
+    np.testing.assert_allclose(out, naive.curvature(r), rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [0, 3, 11, 12, 300])
+def test_occluded_points_and_parallel_beams_are_marked(n: int):
+    rng = np.random.default_rng(n)
+    r = ranges(rng, n)
+    column = columns_with_gaps(rng, np.array([0, n]))
+    marked = np.full(n, 7, np.uint8)
+    kernels.unreliable(r, column, marked)
+    np.testing.assert_array_equal(marked.astype(bool), naive.unreliable(r, column))
+
+
+@pytest.mark.parametrize("largest", [1, 3, 20])
+def test_corners_are_the_sharpest_of_each_sector_and_suppress_their_neighbours(largest: int):
+    rng = np.random.default_rng(largest)
+    ring_start = np.array([0, 150, 155, 155, 400], np.int32)  # rings of five and of no points among them
+    n = int(ring_start[-1])
+    curvature = rng.exponential(1.2, n).astype(np.float32)
+    column = columns_with_gaps(rng, ring_start)
+    marked = rng.random(n) < 0.2
+    rank = np.full(n, 9, np.uint8)
+    total = kernels.select_corners(curvature, column, marked.astype(np.uint8), ring_start, 6, 1.0, largest, rank)
+    expected = naive.corner_ranks(curvature, column, marked, ring_start, 6, 1.0, largest)
+    np.testing.assert_array_equal(rank, expected)
+    assert total == np.count_nonzero(expected) > 4
+
+
+def test_surfs_are_thinned_to_the_real_point_nearest_to_each_voxels_centroid():
+    rng = np.random.default_rng(5)
+    ring_start = np.array([0, 120, 120, 128, 300], np.int32)
+    points = rng.uniform(-1.5, 1.5, (300, 3)).astype(np.float32)
+    rank = (rng.random(300) < 0.1).astype(np.uint8)
+    table, sums = np.full((512, 4), 3, np.int64), np.empty((512, 5))
+    slot_of, kept = np.empty(300, np.int32), np.full(300, 9, np.uint8)
+    kernels.thin_surfs(points, rank, ring_start, 0.4, table, sums, slot_of, kept)
+    expected = naive.thin(points, rank, ring_start, 0.4)
+    np.testing.assert_array_equal(kept.astype(bool), expected)
+    assert 100 < expected.sum() < 270
+
+
+@pytest.mark.parametrize("target", [0, 1, 7, 40, 1000])
+def test_spread_takes_the_wanted_number_evenly(target: int):
+    keep = (np.random.default_rng(2).random(200) < 0.4).astype(np.uint8)
+    chosen = np.full(200, 9, np.uint8)
+    taken = kernels.spread(keep, target, chosen)
+    assert taken == chosen.sum() == min(target, keep.sum())
+    assert np.all(keep[chosen == 1] == 1)
+    places = np.flatnonzero(chosen[keep == 1])
+    if 1 < taken < keep.sum():
+        assert np.diff(places).max() - np.diff(places).min() <= 1

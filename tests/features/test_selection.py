@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_agent.features.curvature import SmoothnessFilter
+from edge_agent.features.projection import Projector
+from edge_agent.features.select import Selector
+from edge_agent.settings import FeatureSettings
+from splitslam.features import FeatureSet
+from splitslam.scan import Scan
+from tests.features.made_scan import made_scan
+
+
+def features(scan: Scan, dense: bool, **settings: float) -> tuple[FeatureSet, FeatureSet]:
+    image = Projector(16, 1800).project(scan)
+    smooth = SmoothnessFilter(16 * 1800)(image)
+    return Selector(FeatureSettings(**settings), 16, 1800).select(image, image.points_lidar, smooth, dense)
+
+
+@pytest.mark.parametrize("dense", [True, False])
+def test_every_feature_is_a_real_point_with_its_ring_time_and_intensity(dense: bool):
+    scan = made_scan()
+    known = {
+        p.tobytes(): (r, t, i)
+        for p, r, t, i in zip(scan.points_lidar, scan.ring, scan.t_offset_ns, scan.intensity, strict=True)
+    }
+    for chosen in features(scan, dense):
+        assert len(chosen) > 100
+        for p, r, t, i in zip(
+            chosen.points_lidar, chosen.ring, chosen.t_offset_ns, chosen.intensity, strict=True
+        ):
+            assert known[p.tobytes()] == (r, t, i)
+
+
+@pytest.mark.parametrize("dense", [True, False])
+def test_features_are_sorted_by_ring_then_column_without_doubles(dense: bool):
+    corners, surfs = features(made_scan(), dense)
+    keys = [c.ring.astype(int) * 1800 + c.column for c in (corners, surfs)]
+    for key in keys:
+        assert np.all(np.diff(key) > 0)
+    assert not set(keys[0]) & set(keys[1])
+
+
+def test_corners_lie_on_the_pillars_and_room_edges_not_on_walls():
+    corners, _ = features(made_scan(), dense=False)
+    p = corners.points_lidar.astype(np.float64)
+    pillars = np.array([(4.0, 2.0), (-5.0, 3.0), (2.0, -6.0), (-3.0, -8.0), (8.0, -3.0)])
+    near_pillar = np.linalg.norm(p[:, None, :2] - pillars, axis=2).min(axis=1) < 1.0
+    offsets = np.stack([12 - p[:, 0], p[:, 0] + 9, 7 - p[:, 1], p[:, 1] + 14, p[:, 2] + 1.5, 6 - p[:, 2]])
+    near_edge = np.sort(np.abs(offsets), axis=0)[1] < 0.5  # two of the room's planes meet there
+    assert np.mean(near_pillar | near_edge) > 0.7
+
+
+def test_a_sparse_frame_has_the_wanted_numbers_on_all_rings_and_sides():
+    corners, surfs = features(made_scan(), dense=False, sparse_corners=100, sparse_surfs=600)
+    assert (len(corners), len(surfs)) == (100, 600)
+    assert np.bincount(surfs.ring, minlength=16).min() >= 10
+    azimuth = np.arctan2(surfs.points_lidar[:, 1], surfs.points_lidar[:, 0])
+    assert np.histogram(azimuth, bins=6, range=(-np.pi, np.pi))[0].min() >= 40
+
+
+def test_a_sparse_frame_prefers_the_sharpest_corners():
+    scan = made_scan()
+    image = Projector(16, 1800).project(scan)
+    smooth = SmoothnessFilter(16 * 1800)(image)
+    curvature = {(int(r), int(c)): v for r, c, v in zip(image.ring, image.column, smooth.curvature, strict=True)}
+    means = []
+    for dense in (True, False):
+        corners, _ = features(scan, dense, sparse_corners=60)
+        values = [curvature[int(r), int(c)] for r, c in zip(corners.ring, corners.column, strict=True)]
+        means.append(np.median(values))
+    assert means[1] > means[0]
+
+
+def test_a_scan_with_fewer_features_than_wanted_gives_all_of_them():
+    scan = made_scan()
+    all_corners, all_surfs = features(scan, dense=True)
+    corners, surfs = features(scan, dense=False, sparse_corners=10**6, sparse_surfs=10**6)
+    assert len(corners) == len(all_corners)
+    assert len(surfs) == len(all_surfs)
+    np.testing.assert_array_equal(surfs.points_lidar, all_surfs.points_lidar)
+
+
+def test_masked_points_are_never_corners():
+    scan = made_scan()
+    image = Projector(16, 1800).project(scan)
+    smooth = SmoothnessFilter(16 * 1800)(image)
+    masked = {(int(r), int(c)) for r, c in zip(image.ring[smooth.masked == 1], image.column[smooth.masked == 1], strict=True)}
+    corners, _ = Selector(FeatureSettings(), 16, 1800).select(image, image.points_lidar, smooth, True)
+    assert len(masked) > 100
+    assert not masked & {(int(r), int(c)) for r, c in zip(corners.ring, corners.column, strict=True)}
