@@ -19,7 +19,7 @@ WIRE_VERSION = 1
 PARTS = frozenset({"loops", "gnss", "imu"})
 DESKEW = frozenset({"auto", "reference", "cpu", "fpga", "cosim", "off", "rotation"})
 MAX_ROBOT_FILE_BYTES = 64 << 10
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
 class RefusedError(Exception):
@@ -81,9 +81,7 @@ def read_hello(hello: pb.Hello, codec_version: int) -> SessionRequest:
         raise _bad("deskew", hello.deskew, f"one of {', '.join(sorted(DESKEW))}")
     robot = _robot(hello)
     return SessionRequest(
-        opening=Opening(
-            session_id, hello.robot_id, hello.run_id, hello.site_id, hello.map_id, hello.robot_file_yaml
-        ),
+        opening=Opening(session_id, hello.robot_id, hello.run_id, hello.site_id, hello.map_id, hello.robot_file_yaml),
         robot=robot,
         beam_elevations_rad=_beams(hello, robot),
         codec_version=hello.codec_version,
@@ -114,7 +112,7 @@ def _beams(hello: pb.Hello, robot: Robot) -> NDArray[np.float32]:
 
 def _check_name(field: str, value: str) -> None:
     if not _NAME.fullmatch(value):
-        raise _bad(field, value, "1 to 64 of A-Z a-z 0-9 . _ -, a letter or digit first")
+        raise _bad(field, value, "1 to 128 of A-Z a-z 0-9 . _ -, a letter or digit first")
 
 
 def _bad(field: str, value: str, expected: str) -> RefusedError:

@@ -47,7 +47,9 @@ class SessionHost:
     def durable(self) -> dict[int, int]:
         """durable_seq by stream."""
         sessions = dict(self.sessions)
-        return {stream: sessions[name].log.durable_seq for stream, name in dict(self.streams).items() if name in sessions}
+        return {
+            stream: sessions[name].log.durable_seq for stream, name in dict(self.streams).items() if name in sessions
+        }
 
     def states(self) -> dict[str, int]:
         """Sessions by tracking state; "detached": without a stream."""
@@ -194,8 +196,6 @@ class SessionHost:
             fields = {"session": name, "seq": frame.seq, "trace_id": frame.trace_id, "bytes": len(frame.payload)}
             fields |= {"state": session.state.name.lower(), "keyframe": answer.keyframe, "rejected": answer.rejected}
             _log.debug("frame", extra={"fields": fields})
-        if session.commit_due:
-            session.commit()
 
     def _bye(self, session: Session, bye: pb.Bye) -> None:
         if bye.last_seq != session.log.applied_seq:
@@ -214,11 +214,11 @@ class SessionHost:
     # -- care ---------------------------------------------------------------------------------------------------
 
     def look_after(self) -> None:
-        """What is due by time: commits when the robot stands, outcomes of commits, sessions nobody came back to."""
+        """After every message and while idle: commits and what became of them, sessions nobody came back to."""
         for session in list(self.sessions.values()):
             try:
                 session.log.collect()
-                if session.log.due():
+                if session.commit_due:
                     session.commit()
             except FencedError as error:
                 self._fenced(session, error)

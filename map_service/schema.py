@@ -47,11 +47,11 @@ sessions = Table(
     metadata,
     # A surrogate key that is never used again: an owner of a deleted session cannot write into its successor.
     Column("id", _row_id, primary_key=True, autoincrement=True),
-    Column("session_id", String(160), nullable=False, unique=True),
-    Column("robot_id", String(64), nullable=False),
+    Column("session_id", String(180), nullable=False, unique=True),
+    Column("robot_id", String(128), nullable=False),
     Column("run_id", String(64), nullable=False),
-    Column("site_id", String(64), nullable=False),
-    Column("map_id", String(64), nullable=False),
+    Column("site_id", String(128), nullable=False),
+    Column("map_id", String(128), nullable=False),
     Column("robot_file", Text, nullable=False),
     Column("opened_s", Float, nullable=False),
     Column("epoch", BigInteger, nullable=False),
@@ -120,7 +120,9 @@ def open_engine(url: str) -> Engine:
     try:
         engine = create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
     except (ArgumentError, NoSuchModuleError, ImportError, ValueError) as error:
-        raise InputError(f"store: {_shown(url)}: expected sqlite:///FILE or postgresql+psycopg://..., {error}") from error
+        raise InputError(
+            f"store: {_shown(url)}: expected sqlite:///FILE or postgresql+psycopg://..., {error}"
+        ) from error
     if engine.dialect.name == "sqlite":
         _check_sqlite_path(engine.url.database, url)
         event.listen(engine, "connect", _configure_sqlite)

@@ -187,9 +187,7 @@ class Store:
                 values["first_stamp_ns"] = min(stamps)
         changed = connection.execute(
             update(t)
-            .where(
-                t.c.id == key, t.c.epoch == epoch, t.c.last_seq == commit.previous_seq, t.c.finished.is_(False)
-            )
+            .where(t.c.id == key, t.c.epoch == epoch, t.c.last_seq == commit.previous_seq, t.c.finished.is_(False))
             .values(**values)
         ).rowcount
         if changed == 1:
@@ -340,7 +338,9 @@ def _insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None
     if commit.keyframe_poses:
         t = schema.keyframes
         connection.execute(
-            update(t).where(t.c.session == key, t.c.keyframe == bindparam("index")).values(pose_map_lidar=bindparam("pose")),
+            update(t)
+            .where(t.c.session == key, t.c.keyframe == bindparam("index"))
+            .values(pose_map_lidar=bindparam("pose")),
             [{"index": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses],
         )
 
@@ -352,6 +352,4 @@ def _make_room(connection: Connection, key: int, indices: list[int]) -> None:
             delete(table).where(table.c.session == key, table.c.keyframe.in_(indices))
         ).rowcount
     t = schema.sessions
-    connection.execute(
-        update(t).where(t.c.id == key).values(keyframes=t.c.keyframes + len(indices) - replaced)
-    )
+    connection.execute(update(t).where(t.c.id == key).values(keyframes=t.c.keyframes + len(indices) - replaced))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from array import array
-from collections import Counter
+from collections import defaultdict
 
 import numpy as np
 
@@ -14,12 +14,12 @@ class Tally:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._counts: Counter[tuple[str, ...]] = Counter()
+        self._counts: defaultdict[tuple[str, ...], float] = defaultdict(float)
         self._observations: list[tuple[str, float]] = []
 
     def count(self, metric: str, *labels: str, by: float = 1) -> None:
         with self._lock:
-            self._counts[(metric, *labels)] += by  # type: ignore[assignment]
+            self._counts[(metric, *labels)] += by
 
     def observe(self, metric: str, value: float) -> None:
         with self._lock:
@@ -28,7 +28,7 @@ class Tally:
     def take(self) -> tuple[dict[tuple[str, ...], float], list[tuple[str, float]]]:
         with self._lock:
             taken = dict(self._counts), self._observations
-            self._counts, self._observations = Counter(), []
+            self._counts, self._observations = defaultdict(float), []
             return taken
 
 

@@ -186,7 +186,7 @@ class WorkerPool:
 
     async def open(self, session_id: str, hello: bytes) -> tuple[WorkerProcess, RobotStream]:
         """Waits for a worker when all are being restarted."""
-        while not (worker := self._assign(session_id)).ready.is_set():
+        while not (worker := self._assign(session_id)).ready.is_set():  # noqa: ASYNC110 - it may die before
             await asyncio.sleep(0.02)
         self._numbers += 1
         stream = RobotStream(self._numbers, session_id, self._config.limits.window_frames)

@@ -1,0 +1,78 @@
+"""The command `map-service`. What serving needs is imported when it is asked for: workers import this file too."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from splitslam.errors import InputError
+
+_UsageError: Any = typer.BadParameter.__base__
+
+app = typer.Typer(
+    name="map-service",
+    help="The map service of SplitSLAM: robots' features in, poses and a map out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback(invoke_without_command=True)
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    if version:
+        from splitslam import __version__
+
+        print(__version__)
+        raise typer.Exit
+
+
+@app.command()
+def serve(
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="YAML; defaults without.")] = None,
+    listen: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="gRPC; port 0: a free one.")] = None,
+    store: Annotated[str | None, typer.Option(metavar="URL", help="SQLAlchemy URL: sqlite:///FILE, ...")] = None,
+    workers: Annotated[int | None, typer.Option(min=0, help="Worker processes; 0: by cores.")] = None,
+    metrics_port: Annotated[int | None, typer.Option(min=0, max=65535, help="/metrics; 0: a free port.")] = None,
+    print_config: Annotated[bool, typer.Option("--print-config", help="Print the effective one and exit.")] = False,
+) -> None:
+    """Serve robots until SIGTERM."""
+    from map_service.config import ENV_PREFIX, ServiceConfig
+    from splitslam import config as configuration
+
+    effective = configuration.load(ServiceConfig, config, ENV_PREFIX)
+    given = {"listen": listen, "store": store, "workers": workers}
+    values = effective.model_dump() | {key: value for key, value in given.items() if value is not None}
+    if metrics_port is not None:
+        values["metrics"] = values["metrics"] | {"port": metrics_port}
+    effective = configuration.validate(ServiceConfig, values, "options")
+    if print_config:
+        print(configuration.dump(effective), end="")
+        return
+    from map_service.server import serve as run
+
+    run(effective)
+
+
+def main() -> None:
+    """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
+    try:
+        sys.exit(typer.main.get_command(app)(prog_name="map-service", standalone_mode=False))
+    except InputError as error:
+        _fail(str(error))
+    except _UsageError as error:
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "map-service"
+        _fail(f"{command}: {error.format_message().rstrip('.')} (see `{command} --help`)")
+
+
+def _fail(line: str) -> None:
+    print(line, file=sys.stderr)
+    sys.exit(InputError.exit_code)
+
+
+if __name__ == "__main__":
+    main()

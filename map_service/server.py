@@ -1,0 +1,105 @@
+"""The life of the service: startup -> serve -> drain."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import signal
+from typing import Any
+
+import grpc
+from grpc_health.v1 import health, health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha import reflection
+
+from map_service.config import ServiceConfig
+from map_service.edge_service import EdgeFront
+from map_service.engine import DEFAULT_ENGINE
+from map_service.metrics import ServiceMetrics
+from map_service.session_service import SessionFront
+from map_service.store import Store
+from map_service.workers import WorkerPool
+from splitslam.errors import InputError
+from splitslam.logs import configure_logs
+from splitslam.wire import session_pb2_grpc as rpc
+
+SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService")
+_STREAM_GRACE_S = 0.5
+
+HealthServicer = health.aio.HealthServicer  # pyright: ignore[reportAttributeAccessIssue] (its stubs lack it)
+
+_log = logging.getLogger(__name__)
+
+
+def serve(config: ServiceConfig, engine: str = DEFAULT_ENGINE) -> None:
+    """Run until SIGTERM or SIGINT, then drain. engine: dotted path of what the workers compute with.
+
+    Prints one JSON line on stdout when robots can connect. Raises InputError for a configuration that cannot work.
+    """
+    configure_logs(config.log.format, config.log.level)
+    asyncio.run(_serve(config, engine))
+
+
+async def _serve(config: ServiceConfig, engine: str) -> None:
+    stop = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    store = Store(config.store)
+    metrics = ServiceMetrics()
+    pool = WorkerPool(config, engine, metrics)
+    front = EdgeFront(config, pool, metrics)
+    server, checks, address = _build(config, front, SessionFront(store, pool))
+    scrape = metrics.serve(config.metrics)
+    try:
+        starting = asyncio.create_task(pool.start())
+        stopping = asyncio.create_task(stop.wait())
+        await asyncio.wait((starting, stopping), return_when=asyncio.FIRST_COMPLETED)
+        if stop.is_set():
+            starting.cancel()
+            return
+        starting.result()
+        await server.start()
+        await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
+        scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
+        print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
+        await stopping
+        _log.info("draining")
+        await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
+        front.drain()
+        await pool.drain()
+        await server.stop(_STREAM_GRACE_S)
+    finally:
+        pool.kill()
+        store.close()
+        if scrape:
+            scrape[0].shutdown()
+
+
+def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> tuple[grpc.aio.Server, Any, str]:
+    server = grpc.aio.server(
+        options=[
+            ("grpc.so_reuseport", 0),  # two services on one port would share the robots at random
+            ("grpc.max_receive_message_length", config.limits.max_message_bytes),
+            ("grpc.keepalive_time_ms", 10_000),
+            ("grpc.keepalive_timeout_ms", 5_000),
+            ("grpc.http2.min_ping_interval_without_data_ms", 5_000),
+        ]
+    )
+    server.add_generic_rpc_handlers((front.handler(),))
+    rpc.add_SessionServiceServicer_to_server(sessions, server)
+    checks = HealthServicer()
+    health_pb2_grpc.add_HealthServicer_to_server(checks, server)
+    reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
+    host, separator, port = config.listen.rpartition(":")
+    if not separator or not port.isdigit() or int(port) > 65535:
+        raise InputError(f"listen {config.listen!r}: expected HOST:PORT")
+    try:
+        bound = server.add_insecure_port(config.listen)
+    except RuntimeError as error:
+        raise InputError(f"listen {config.listen}: cannot be bound (is the port in use?)") from error
+    return server, checks, f"{host}:{bound}"
+
+
+async def _set_health(checks: Any, status: health_pb2.HealthCheckResponse.ServingStatus) -> None:
+    for service in ("", *SERVICES):
+        await checks.set(service, status)

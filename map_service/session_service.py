@@ -1,0 +1,115 @@
+"""SessionService: sessions and maps out of the store, for operators and tools."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator
+from typing import TypeVar
+
+import grpc
+from sqlalchemy import Row
+
+from map_service.catalog import Catalog
+from map_service.export import map_pieces
+from map_service.messages import stamped_pose, transform_to_wire
+from map_service.store import Store, StoreError
+from map_service.workers import WorkerPool
+from splitslam.errors import DataError
+from splitslam.wire import session_pb2 as pb
+from splitslam.wire import session_pb2_grpc as rpc
+
+A = TypeVar("A")
+T = TypeVar("T")
+MIN_VOXEL_M = 0.01
+MAX_VOXEL_M = 100.0
+
+
+class SessionFront(rpc.SessionServiceServicer):
+    """Queries run in threads: a large map must not stop the robots' streams."""
+
+    def __init__(self, store: Store, pool: WorkerPool) -> None:
+        self._catalog, self._pool = Catalog(store), pool
+
+    async def List(self, request: pb.ListRequest, context: grpc.aio.ServicerContext) -> pb.ListResponse:
+        rows = await self._query(context, self._catalog.sessions, request.site_id)
+        return pb.ListResponse(sessions=[session_info(row) for row in rows])
+
+    async def Get(self, request: pb.GetRequest, context: grpc.aio.ServicerContext) -> pb.GetResponse:
+        return pb.GetResponse(session=session_info(await self._row(request.session_id, context)))
+
+    async def Delete(self, request: pb.DeleteRequest, context: grpc.aio.ServicerContext) -> pb.DeleteResponse:
+        if self._pool.is_open(request.session_id):
+            await context.abort(grpc.StatusCode.FAILED_PRECONDITION, "a robot's stream has the session open")
+        deleted = await self._query(context, self._catalog.delete, request.session_id)
+        if deleted is None:
+            await context.abort(grpc.StatusCode.NOT_FOUND, f"no session {request.session_id!r}")
+            raise AssertionError  # abort raises
+        await self._pool.forget(request.session_id)
+        return pb.DeleteResponse(frames=deleted.frames, keyframes=deleted.keyframes, bytes=deleted.bytes)
+
+    async def Trajectory(
+        self, request: pb.TrajectoryRequest, context: grpc.aio.ServicerContext
+    ) -> AsyncIterator[pb.TrajectoryResponse]:
+        row = await self._row(request.session_id, context)
+        pages = self._catalog.trajectory(row.id)
+        while (page := await self._query(context, _next, pages)) is not None:
+            yield pb.TrajectoryResponse(poses=[stamped_pose(*pose) for pose in page])
+
+    async def StreamMap(
+        self, request: pb.StreamMapRequest, context: grpc.aio.ServicerContext
+    ) -> AsyncIterator[pb.StreamMapResponse]:
+        voxel_m = request.voxel_m
+        if voxel_m != 0 and not MIN_VOXEL_M <= voxel_m <= MAX_VOXEL_M:  # also true for NaN
+            detail = f"voxel_m {voxel_m:g}: expected 0 or {MIN_VOXEL_M:g} to {MAX_VOXEL_M:g}"
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, detail)
+        row = await self._row(request.session_id, context)
+        pieces = map_pieces(self._catalog.keyframes(row.id), voxel_m)
+        while (piece := await self._query(context, _next, pieces)) is not None:
+            yield pb.StreamMapResponse(
+                keyframe=piece.keyframe,
+                pose_map_lidar=transform_to_wire(piece.T_map_lidar),
+                points=piece.points_map.tobytes(),
+                point_count=len(piece.points_map),
+            )
+
+    async def _row(self, session_id: str, context: grpc.aio.ServicerContext) -> Row:
+        row = await self._query(context, self._catalog.session, session_id)
+        if row is None:
+            await context.abort(grpc.StatusCode.NOT_FOUND, f"no session {session_id!r}")
+            raise AssertionError  # abort raises
+        return row
+
+    async def _query(self, context: grpc.aio.ServicerContext, function: Callable[[A], T], argument: A) -> T:
+        try:
+            return await asyncio.to_thread(function, argument)
+        except StoreError as error:
+            await context.abort(grpc.StatusCode.UNAVAILABLE, f"store: {error}"[:200])
+        except DataError as error:
+            await context.abort(grpc.StatusCode.DATA_LOSS, str(error))
+        raise AssertionError  # abort raises
+
+
+def _next(iterator: Iterator[T]) -> T | None:
+    return next(iterator, None)
+
+
+def session_info(row: Row) -> pb.SessionInfo:
+    """A row of `schema.sessions`."""
+    return pb.SessionInfo(
+        session_id=row.session_id,
+        robot_id=row.robot_id,
+        run_id=row.run_id,
+        site_id=row.site_id,
+        map_id=row.map_id,
+        finished=row.finished,
+        epoch=row.epoch,
+        durable_seq=row.last_seq,
+        first_stamp_ns=row.first_stamp_ns,
+        last_stamp_ns=row.last_stamp_ns,
+        frames=row.frames,
+        keyframes=row.keyframes,
+        loops=row.loops,
+        gnss_factors=row.gnss_factors,
+        store_bytes=row.bytes,
+        statistics_json=row.statistics,
+    )

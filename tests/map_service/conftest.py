@@ -1,0 +1,71 @@
+"""A service process, robots and an operator, all closed at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.map_service.harness import Operator, Robot7, Service, hello, new_run
+
+
+@pytest.fixture
+def start_service(tmp_path: Path) -> Iterator[Callable[..., Service]]:
+    services: list[Service] = []
+
+    def start(**settings: Any) -> Service:
+        service = Service(tmp_path, **settings)
+        services.append(service)
+        service.start()
+        return service
+
+    yield start
+    for service in services:
+        service.close()
+
+
+@pytest.fixture
+def service(start_service: Callable[..., Service]) -> Service:
+    return start_service()
+
+
+@pytest.fixture
+def run_id() -> str:
+    return new_run()
+
+
+@pytest.fixture
+def session_id(run_id: str) -> str:
+    return f"rover-7/{run_id}"
+
+
+@pytest.fixture
+def connect(run_id: str) -> Iterator[Callable[..., Robot7]]:
+    """connect(service, **changes of Hello)."""
+    robots: list[Robot7] = []
+
+    def open_stream(service: Service, **changes: Any) -> Robot7:
+        robots.append(Robot7(service.address, hello(run_id, **changes)))
+        return robots[-1]
+
+    yield open_stream
+    for robot in robots:
+        robot.close()
+
+
+@pytest.fixture
+def operator(service: Service) -> Iterator[Operator]:
+    client = Operator(service.address)
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="module")
+def shared_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """One for tests that leave nothing behind."""
+    service = Service(tmp_path_factory.mktemp("service"))
+    service.start()
+    yield service
+    service.close()

@@ -1,0 +1,204 @@
+"""One robot's stream: opening, frames, answers, the end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import grpc
+import pytest
+
+from splitslam.wire import session_pb2 as pb
+from splitslam.wire import types_pb2 as types
+from tests.map_service.fakes import FINAL_SHIFT_M, payload
+from tests.map_service.harness import Operator, Robot7, Service, frame, hello
+
+Connect = Callable[..., Robot7]
+
+
+def test_frames_are_answered_in_order_and_the_run_ends_with_its_totals(
+    service: Service, connect: Connect, operator: Operator, session_id: str
+) -> None:
+    robot = connect(service)
+    welcome = robot.next("welcome")
+    assert (welcome.epoch, welcome.durable_seq, welcome.applied_seq) == (1, 0, 0)
+    assert (welcome.session_id, welcome.codec_version) == (session_id, 1)
+    for seq in range(1, 13):
+        robot.send(frame(seq))
+    answers = [robot.next("odometry") for _ in range(12)]
+    assert [a.seq for a in answers] == list(range(1, 13))
+    assert [a.pose_map_lidar.tx_m for a in answers] == list(range(1, 13))
+    assert [a.keyframe for a in answers] == [seq in (1, 6, 11) for seq in range(1, 13)]
+    assert not any(a.duplicate or a.rejected for a in answers)
+    assert answers[-1].applied_seq == 12
+    assert answers[-1].pose_map_odom.tx_m == 0.5
+    robot.send(pb.Bye(last_seq=12))
+    finished = robot.next("finished")
+    assert (finished.mapped, finished.keyframes) == (12, 3)
+    assert robot.end() == grpc.StatusCode.OK
+    assert operator.poses(session_id) == [(seq, seq + FINAL_SHIFT_M) for seq in range(1, 13)]
+
+
+def test_a_finished_session_is_read_only(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    robot.ask(frame(1))
+    robot.send(pb.Bye(last_seq=1))
+    robot.next("finished")
+    refused = connect(service).next("refused")
+    assert (refused.reason, refused.retry_after_ms) == (pb.REFUSED_REASON_FINISHED, 0)
+
+
+def test_a_duplicate_is_answered_with_its_stored_pose_and_not_mapped_again(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    for seq in range(1, 4):
+        robot.ask(frame(seq))
+    again = robot.ask(frame(2))
+    assert (again.duplicate, again.seq, again.pose_map_lidar.tx_m, again.applied_seq) == (True, 2, 2.0, 3)
+    assert robot.ask(frame(4)).pose_map_lidar.tx_m == 4.0
+
+
+def test_a_gap_ends_the_stream_with_the_expected_seq_and_the_session_goes_on(
+    service: Service, connect: Connect
+) -> None:
+    robot = connect(service)
+    robot.ask(frame(1))
+    robot.send(frame(3))
+    assert robot.end() == grpc.StatusCode.ABORTED
+    assert robot.detail == "expected seq 2, got 3"
+    resumed = connect(service)
+    welcome = resumed.next("welcome")
+    assert (welcome.epoch, welcome.applied_seq) == (2, 1)
+    assert [p.seq for p in welcome.last_poses] == [1]
+    assert resumed.ask(frame(2)).pose_map_lidar.tx_m == 2.0
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ({"content": payload("corrupt")}, "corrupt"),
+        ({"codec_version": 9}, "codec_version"),
+        ({"stamp_ns": 5}, "time"),
+    ],
+)
+def test_a_bad_frame_is_answered_as_rejected_and_the_session_goes_on(
+    service: Service, connect: Connect, operator: Operator, session_id: str, bad: dict, reason: str
+) -> None:
+    robot = connect(service)
+    robot.ask(frame(1))
+    answer = robot.ask(frame(2, **bad))
+    assert (answer.rejected, answer.seq, answer.applied_seq) == (reason, 2, 2)
+    assert not answer.HasField("pose_map_lidar")
+    assert robot.ask(frame(3)).pose_map_lidar.tx_m == 2.0
+    assert robot.ask(frame(2)).rejected == reason
+    robot.send(pb.Bye(last_seq=3))
+    assert robot.next("finished").mapped == 2
+    assert [seq for seq, _ in operator.poses(session_id)] == [1, 3]
+
+
+def test_a_frame_that_the_pipeline_fails_on_ends_the_stream_once_and_is_rejected_then(
+    service: Service, connect: Connect
+) -> None:
+    robot = connect(service)
+    robot.ask(frame(1))
+    robot.send(frame(2, payload("raise")))
+    assert robot.end() == grpc.StatusCode.INTERNAL
+    assert "RuntimeError: told to" in service.log
+    resumed = connect(service)
+    start = resumed.next("welcome").applied_seq + 1
+    for seq in range(start, 2):
+        resumed.ask(frame(seq))
+    assert resumed.ask(frame(2, payload("raise"))).rejected == "failed"
+    assert resumed.ask(frame(3)).pose_map_lidar.tx_m == 2.0
+
+
+def test_credit_comes_twice_a_second_also_when_the_robot_says_nothing(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    robot.next("welcome")
+    for _ in range(3):
+        assert robot.next("credit", timeout_s=1.0).window == 16
+
+
+def test_what_was_answered_becomes_durable_within_a_second_when_the_robot_stands(
+    service: Service, connect: Connect
+) -> None:
+    robot = connect(service)
+    for seq in range(1, 4):
+        robot.ask(frame(seq))
+    assert any(robot.next("credit").durable_seq == 3 for _ in range(6))
+
+
+def test_more_frames_than_the_window_are_answered_all_the_same(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    for seq in range(1, 101):
+        robot.send(frame(seq))
+    assert [robot.next("odometry").pose_map_lidar.tx_m for _ in range(100)] == list(range(1, 101))
+
+
+def test_the_advice_of_the_configuration_follows_the_welcome(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
+    robot = connect(start_service(advice={"max_kbps": 120}))
+    robot.next("welcome")
+    assert robot.next("advice").max_kbps == 120
+
+
+def test_statistics_tell_costs_and_what_the_robot_has_lost(
+    service: Service, connect: Connect, operator: Operator, session_id: str
+) -> None:
+    robot = connect(service)
+    for seq in range(1, 7):
+        robot.ask(frame(seq))
+    robot.send(pb.EdgeReport(dropped_by_reason={"nan": 3}, spool_frames=2))
+    robot.send(pb.Bye(last_seq=6))
+    robot.next("finished")
+    info = operator.get(session_id)
+    statistics = json.loads(info.statistics_json)
+    assert (info.finished, info.frames, info.keyframes, info.durable_seq) == (True, 6, 2, 6)
+    assert statistics["edge"] == {"dropped": {"nan": 3}, "spool_frames": 2, "spool_bytes": 0}
+    assert statistics["map_ms"]["graph"] == {"mean": 1.0}
+    assert 0 < statistics["map_ms"]["total"]["mean"] <= statistics["map_ms"]["total"]["max"] < 1e3
+    assert 0 < statistics["cpu_ms"] < 1e4
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "detail"),
+    [
+        ({"wire_version": 2}, pb.REFUSED_REASON_VERSION, "wire version 2"),
+        ({"codec_version": 0}, pb.REFUSED_REASON_VERSION, "codec version 0"),
+        ({"robot_id": "../etc"}, pb.REFUSED_REASON_BAD_HELLO, "hello.robot_id"),
+        ({"robot_id": "x" * 129}, pb.REFUSED_REASON_BAD_HELLO, "hello.robot_id"),
+        ({"run_id": "yesterday"}, pb.REFUSED_REASON_BAD_HELLO, "hello.run_id"),
+        ({"site_id": "a b"}, pb.REFUSED_REASON_BAD_HELLO, "hello.site_id"),
+        ({"map_id": "hall"}, pb.REFUSED_REASON_BAD_HELLO, "hello.map_id"),
+        ({"disable": ["wings"]}, pb.REFUSED_REASON_BAD_HELLO, "hello.disable 'wings'"),
+        ({"deskew": "magic"}, pb.REFUSED_REASON_BAD_HELLO, "hello.deskew"),
+        ({"robot_file_yaml": "lidar: {ringz: 3}"}, pb.REFUSED_REASON_BAD_HELLO, "ringz"),
+        ({"robot_file_yaml": "x" * 70000}, pb.REFUSED_REASON_BAD_HELLO, "70000 characters"),
+        ({"beam_elevations_rad": [0.1]}, pb.REFUSED_REASON_BAD_HELLO, "1 values"),
+        ({"beam_elevations_rad": [float("nan")] * 16}, pb.REFUSED_REASON_BAD_HELLO, "beam_elevations_rad"),
+    ],
+)
+def test_a_hello_that_cannot_be_served_is_refused_with_the_field_and_what_was_expected(
+    shared_service: Service, run_id: str, changes: dict, reason: int, detail: str
+) -> None:
+    robot = Robot7(shared_service.address, hello(run_id, **changes))
+    refused = robot.next("refused")
+    assert (refused.reason, refused.retry_after_ms) == (reason, 0)
+    assert detail in refused.detail
+    assert robot.end() == grpc.StatusCode.OK
+    robot.close()
+
+
+def test_a_stream_that_does_not_begin_with_hello_is_refused(shared_service: Service) -> None:
+    robot = Robot7(shared_service.address, pb.StreamRequest(frame=frame(1)))
+    assert robot.next("refused").detail == "expected Hello as the first message of a stream"
+    robot.close()
+
+
+def test_fixes_that_cannot_be_used_are_counted_not_passed_on(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    fixes = [types.GnssFix(latitude_deg=float("nan")), types.GnssFix(covariance_enu_m2=[1.0])]
+    assert robot.ask(frame(1, fixes=fixes)).rejected == ""
+    for _ in range(3):
+        robot.next("credit")
+    assert service.metrics()['splitslam_map_gnss_total{result="unusable"}'] == 2

@@ -1,0 +1,263 @@
+"""Whatever dies, every frame is mapped exactly once and nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import grpc
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from splitslam.wire import session_pb2 as pb
+from tests.map_service.fakes import FINAL_SHIFT_M, payload
+from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, running
+
+Connect = Callable[..., Robot7]
+GONE_S = 5.0
+
+
+def wait_until_gone(pids: list[int]) -> list[int]:
+    """Those that are still there after a while."""
+    until_s = time.monotonic() + GONE_S
+    while (left := [pid for pid in pids if running(pid)]) and time.monotonic() < until_s:
+        time.sleep(0.02)
+    return left
+
+
+def finish(robot: Robot7, last_seq: int) -> None:
+    robot.send(pb.Bye(last_seq=last_seq))
+    assert robot.next("finished").mapped == last_seq
+
+
+def final(last_seq: int) -> list[tuple[int, float]]:
+    """The trajectory when each frame was mapped exactly once."""
+    return [(seq, seq + FINAL_SHIFT_M) for seq in range(1, last_seq + 1)]
+
+
+def test_after_sigkill_of_the_service_a_restart_on_store_and_port_goes_on_and_maps_every_frame_once(
+    service: Service, connect: Connect, operator: Operator, session_id: str
+) -> None:
+    robot = connect(service)
+    for seq in range(1, 42):
+        robot.ask(frame(seq))
+    robot.wait_durable(41)
+    for seq in range(42, 48):
+        robot.ask(frame(seq))
+    service.kill()
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    service.start()
+    resumed = connect(service)
+    welcome = resumed.next("welcome")
+    assert welcome.epoch == 2
+    assert 41 <= welcome.durable_seq <= 47
+    assert welcome.applied_seq == welcome.durable_seq
+    assert welcome.last_poses[-1].seq == welcome.durable_seq
+    assert welcome.last_poses[-1].pose.tx_m == welcome.durable_seq
+    assert welcome.pose_map_odom.tx_m == 0.5
+    stored = resumed.ask(frame(30))
+    assert (stored.duplicate, stored.pose_map_lidar.tx_m, stored.pose_map_odom.tx_m) == (True, 30.0, 0.5)
+    for seq in range(welcome.durable_seq + 1, 61):
+        assert resumed.ask(frame(seq)).pose_map_lidar.tx_m == seq
+    finish(resumed, 60)
+    assert operator.poses(session_id) == final(60)
+
+
+def test_a_new_stream_goes_on_without_a_rebuild_and_ends_the_old_one(service: Service, connect: Connect) -> None:
+    first = connect(service)
+    for seq in range(1, 4):
+        first.ask(frame(seq))
+    second = connect(service)
+    welcome = second.next("welcome")
+    assert (welcome.epoch, welcome.applied_seq) == (2, 3)
+    assert first.end() == grpc.StatusCode.ABORTED
+    assert second.ask(frame(4)).pose_map_lidar.tx_m == 4.0
+
+
+def test_an_owner_that_was_overtaken_is_fenced_and_cannot_harm_the_session(
+    start_service: Callable[..., Service], connect: Connect, session_id: str
+) -> None:
+    """Two replicas on one store: the robot moves from one to the other while the first still thinks it owns it."""
+    old = start_service()
+    new = start_service()
+    zombie = connect(old)
+    for seq in range(1, 8):
+        zombie.ask(frame(seq))
+    zombie.wait_durable(6)
+    robot = connect(new)
+    durable = robot.next("welcome").durable_seq
+    assert durable >= 6
+    for seq in range(durable + 1, 21):
+        robot.ask(frame(seq))
+    zombie.send(frame(8))
+    assert zombie.end() == grpc.StatusCode.ABORTED
+    assert zombie.detail.startswith("fenced")
+    finish(robot, 20)
+    operator = Operator(new.address)
+    assert operator.poses(session_id) == final(20)
+    operator.close()
+    time.sleep(1.0)
+    assert old.metrics()["splitslam_map_fenced_total"] == 1
+
+
+def test_a_replica_gets_a_session_back_that_another_owned_in_between(
+    start_service: Callable[..., Service], connect: Connect, session_id: str
+) -> None:
+    one, two = start_service(), start_service()
+    for service, frames in ((one, range(1, 6)), (two, range(6, 11)), (one, range(11, 16))):
+        robot = connect(service)
+        durable = robot.next("welcome").durable_seq
+        for seq in range(durable + 1, frames.stop):
+            assert robot.ask(frame(seq)).pose_map_lidar.tx_m == seq
+        robot.close()
+        deadline_s = time.monotonic() + 5
+        operator = Operator(service.address)
+        while operator.get(session_id).durable_seq < frames.stop - 1 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        operator.close()
+
+
+def test_a_worker_that_dies_is_restarted_and_its_sessions_resume(
+    service: Service, connect: Connect, operator: Operator, session_id: str, tmp_path: Path
+) -> None:
+    robot = connect(service)
+    for seq in range(1, 8):
+        robot.ask(frame(seq))
+    robot.wait_durable(6)
+    poison = frame(8, payload("crash", once=str(tmp_path / "crashed")))
+    robot.send(poison)
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    assert "worker of this session has died" in robot.detail
+    resumed = connect(service)
+    start = resumed.next("welcome").durable_seq + 1
+    assert start >= 6
+    for seq in range(start, 8):
+        resumed.ask(frame(seq))
+    assert resumed.ask(poison).pose_map_lidar.tx_m == 8.0
+    finish(resumed, 8)
+    assert operator.poses(session_id) == final(8)
+    assert service.metrics()["splitslam_map_worker_restarts_total"] == 1
+
+
+def test_a_frozen_worker_is_killed_and_its_streams_end(start_service: Callable[..., Service], connect: Connect) -> None:
+    service = start_service(limits={"silent_s": 1.5})
+    robot = connect(service)
+    robot.ask(frame(1))
+    os.kill(service.workers()[0], signal.SIGSTOP)
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    assert connect(service).next("welcome").epoch == 2
+
+
+def test_a_worker_stuck_in_one_job_is_killed(start_service: Callable[..., Service], connect: Connect) -> None:
+    service = start_service(limits={"stall_s": 1.0})
+    robot = connect(service)
+    robot.send(frame(1, payload("sleep", seconds=60)))
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_slow_frame_does_not_silence_the_service(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    robot.next("welcome")
+    robot.send(frame(1, payload("sleep", seconds=2.5)))
+    for _ in range(4):
+        robot.next("credit", timeout_s=1.0)
+    assert robot.next("odometry").seq == 1
+
+
+def test_sigterm_drains_tells_robots_commits_and_exits_with_zero(
+    service: Service, connect: Connect, session_id: str
+) -> None:
+    channel = grpc.insecure_channel(service.address)
+    watch = health_pb2_grpc.HealthStub(channel).Watch(  # pyright: ignore[reportAttributeAccessIssue]
+        health_pb2.HealthCheckRequest()
+    )
+    assert next(watch).status == health_pb2.HealthCheckResponse.SERVING
+    robot = connect(service)
+    for seq in range(1, 9):
+        robot.ask(frame(seq))
+    processes = descendants(service.pid)
+    assert service.workers()[0] in processes
+    start_s = time.monotonic()
+    assert service.terminate() == 0
+    assert time.monotonic() - start_s < 10
+    assert next(watch).status == health_pb2.HealthCheckResponse.NOT_SERVING
+    drain = robot.next("drain")
+    assert drain.reason == pb.DRAIN_REASON_SHUTDOWN
+    assert robot.next("credit").durable_seq == 8, "the last credit says what the final commit has saved"
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    channel.close()
+    assert wait_until_gone(processes) == []
+    service.start()
+    assert connect(service).next("welcome").durable_seq == 8
+
+
+def test_a_drain_that_takes_too_long_is_cut_short(start_service: Callable[..., Service], connect: Connect) -> None:
+    service = start_service(drain_s=1.0)
+    robot = connect(service)
+    robot.next("welcome")
+    robot.send(frame(1, payload("sleep", seconds=60)))
+    time.sleep(0.3)
+    processes = descendants(service.pid)
+    start_s = time.monotonic()
+    assert service.terminate() == 0
+    assert time.monotonic() - start_s < 5
+    assert wait_until_gone(processes) == []
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_no_process_outlives_a_front_that_was_killed(
+    start_service: Callable[..., Service], connect: Connect, workers: int
+) -> None:
+    service = start_service(workers=workers)
+    connect(service).ask(frame(1))
+    processes = descendants(service.pid)
+    assert set(service.workers()) <= set(processes)
+    assert len(service.workers()) == workers
+    service.kill()
+    assert wait_until_gone(processes) == []
+
+
+def test_sessions_are_spread_over_the_workers(start_service: Callable[..., Service]) -> None:
+    from tests.map_service.harness import hello, new_run
+
+    service = start_service(workers=2)
+    robots = [Robot7(service.address, hello(new_run())) for _ in range(2)]
+    for robot in robots:
+        robot.ask(frame(1))
+    start_s = time.monotonic()
+    for robot in robots:
+        robot.send(frame(2, payload("sleep", seconds=1.5)))
+    for robot in robots:
+        robot.next("odometry")
+    assert time.monotonic() - start_s < 2.5, "one after the other would take 3 s"
+    for robot in robots:
+        robot.close()
+
+
+def test_a_stream_over_the_limit_is_refused_with_a_time_to_come_back(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
+    service = start_service(limits={"max_streams": 1})
+    connect(service).next("welcome")
+    refused = connect(service).next("refused")
+    assert refused.reason == pb.REFUSED_REASON_OVERLOADED
+    assert refused.retry_after_ms > 0
+
+
+def test_a_detached_session_is_let_go_after_its_time_and_restored_when_the_robot_comes_back(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
+    service = start_service(limits={"idle_s": 0.2})
+    robot = connect(service)
+    robot.ask(frame(1))
+    robot.close()
+    until_s = time.monotonic() + 10
+    while service.metrics()['splitslam_map_sessions{state="detached"}'] != 0 or time.monotonic() < until_s - 8.5:
+        assert time.monotonic() < until_s
+        time.sleep(0.1)
+    back = connect(service)
+    assert back.next("welcome").durable_seq == 1
+    assert back.ask(frame(2)).pose_map_lidar.tx_m == 2.0
