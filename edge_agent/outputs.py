@@ -33,7 +33,7 @@ class Outputs:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._made = not folder.exists()
+        self._made = [path for path in (folder, *folder.parents) if not path.exists()]
         self._files: dict[str, TextIO] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -78,11 +78,11 @@ class Outputs:
         for file in self._files.values():
             file.close()
         self._files.clear()
-        for name in (*self._NAMES, "edge.json"):
-            _temporary(self._folder, name).unlink(missing_ok=True)
-        if self._made:
-            with contextlib.suppress(OSError):  # someone else has put something there
-                self._folder.rmdir()
+        with contextlib.suppress(OSError):  # the folder was never made, or someone else has put something there
+            for name in (*self._NAMES, "edge.json"):
+                _temporary(self._folder, name).unlink(missing_ok=True)
+            for path in self._made:
+                path.rmdir()
 
 
 def rotate_quats(left_xyzw: Array, quats_xyzw: Array) -> Array:

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import socket
+import urllib.request
+
+import numpy as np
+import pytest
+
+from edge_agent.metrics import EdgeMetrics, summary
+from edge_agent.tally import Tally, stage_summaries
+from edge_agent.tcp_meter import TcpBytes
+from splitslam.errors import InputError
+
+
+def scrape(port: int) -> dict[str, float]:
+    text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5).read().decode()
+    lines = [line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#")]
+    return {name: float(value) for name, value in lines}
+
+
+def test_the_report_and_the_metrics_page_have_the_same_numbers():
+    metrics = EdgeMetrics()
+    port = metrics.serve("127.0.0.1", 0)
+    try:
+        for k in range(1, 101):
+            metrics.stages({"deskew": k * 1.0, "total": k * 2.0}, {"deskew": k * 1.5})
+            metrics.round_trip.observe_s(k * 1e-3)
+        metrics.drop("nan", 3)
+        metrics.sent("frame", 1200)
+        page = scrape(port)
+    finally:
+        metrics.close()
+    report = stage_summaries(metrics)
+    total_s = page['splitslam_edge_stage_seconds_sum{stage="total"}']
+    assert total_s == pytest.approx(report["edge_ms"]["total"]["mean"] * 100 / 1e3)
+    assert page['splitslam_edge_stage_seconds_count{stage="deskew"}'] == 100
+    assert page["splitslam_edge_round_trip_seconds_sum"] == pytest.approx(report["round_trip_ms"]["mean"] * 0.1)
+    assert page['splitslam_edge_dropped_total{reason="nan"}'] == metrics.dropped["nan"] == 3
+    assert page['splitslam_edge_uplink_bytes_total{kind="frame"}'] == 1200
+
+
+def test_a_summary_has_mean_spread_and_percentiles():
+    values = np.arange(1, 102, dtype=np.float64)
+    result = summary(values)
+    assert result is not None
+    assert result == pytest.approx({"mean": 51.0, "std": values.std(), "p50": 51.0, "p99": 100.0, "max": 101.0})
+    assert summary([]) is None
+
+
+def test_without_a_report_nothing_is_kept():
+    metrics = EdgeMetrics(keep=False)
+    metrics.round_trip.observe_s(0.1)
+    assert len(metrics.round_trip.values_s) == 0
+
+
+def test_a_taken_port_is_one_line_that_names_the_key():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"^metrics.port {port}: expected a free port"):
+            EdgeMetrics().serve("127.0.0.1", port)
+
+
+def test_rates_go_by_recording_time_and_raw_is_the_papers_case_one():
+    tally = Tally(valid_points=1000)
+    tally.sent = 10
+    link = tally.link(TcpBytes(50_000, 10_000), recording_s=2.0, imu_messages=100, native_bytes=0)
+    raw_bytes = 18 * 1000 + 320 * 100
+    assert link["uplink"]["kbps"] == 200.0
+    assert link["uplink"]["bytes_per_scan"] == 5000.0
+    assert link["uplink"]["raw_kbps"] == raw_bytes * 8 / 2000
+    assert link["uplink"]["native_kbps"] is None
+    assert link["uplink"]["ratio_to_raw"] == pytest.approx(raw_bytes / 50_000)
+    assert link["downlink"] == {"bytes": 10_000, "kbps": 40.0}

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge_agent.outputs import Outputs, rotate_quats, tum_line
+from edge_agent.types import OdomPoses
+from splitslam import se3
+from splitslam.errors import InputError
+from tests.tolerances import SE3_ROUND_TRIP_M
+
+
+def test_a_stamp_keeps_its_nanoseconds():
+    line = tum_line(1_700_000_000_123_456_789, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+    assert line.startswith("1700000000.123456789 0.000000000 ")
+    assert tum_line(5, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])).startswith("0.000000005 ")
+
+
+def test_nothing_is_there_before_publish_and_everything_after(tmp_path: Path):
+    outputs = Outputs(tmp_path / "a" / "out")
+    outputs.online(1, np.eye(4))
+    assert [p for p in (tmp_path / "a" / "out").iterdir() if not p.name.startswith(".")] == []
+    outputs.publish({"scans": {"read": 1}})
+    names = sorted(p.name for p in (tmp_path / "a" / "out").iterdir())
+    assert names == ["edge.json", "imu.tum", "odom.tum", "online.tum"]
+    assert json.loads((tmp_path / "a" / "out" / "edge.json").read_text()) == {"scans": {"read": 1}}
+    outputs.discard()
+    assert len(list((tmp_path / "a" / "out").iterdir())) == 4
+
+
+def test_discard_leaves_no_file_and_no_folder_that_was_not_there(tmp_path: Path):
+    outputs = Outputs(tmp_path / "a" / "out")
+    outputs.online(1, np.eye(4))
+    outputs.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_discard_keeps_what_was_there_before(tmp_path: Path):
+    (tmp_path / "online.tum").write_text("old")
+    Outputs(tmp_path).discard()
+    assert [p.name for p in tmp_path.iterdir()] == ["online.tum"]
+
+
+def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"output.dir .*file/out"):
+        Outputs(tmp_path / "file" / "out")
+
+
+def test_imu_lines_are_the_odom_poses_moved_by_t_map_odom(tmp_path: Path):
+    rng = np.random.default_rng(1)
+    T_map_odom = se3.exp(rng.normal(size=6))
+    T_odom_lidar = [se3.exp(rng.normal(size=6)) for _ in range(3)]
+    quats = np.stack([se3.quat_from_matrix(T[:3, :3]) for T in T_odom_lidar])
+    positions = np.stack([T[:3, 3] for T in T_odom_lidar])
+    outputs = Outputs(tmp_path)
+    outputs.imu(OdomPoses(np.array([1, 2, 3]), positions, quats, np.zeros((3, 3))), T_map_odom)
+    outputs.publish({})
+    rows = np.loadtxt(tmp_path / "imu.tum")
+    for row, T in zip(rows, T_odom_lidar, strict=True):
+        np.testing.assert_allclose(se3.from_quat(row[1:4], row[4:]), T_map_odom @ T, atol=1e-8)
+
+
+def test_quaternion_rows_multiply_as_rotations_do():
+    rng = np.random.default_rng(2)
+    A, B = se3.so3_exp(rng.normal(size=3)), se3.so3_exp(rng.normal(size=3))
+    product = rotate_quats(se3.quat_from_matrix(A), se3.quat_from_matrix(B)[None])[0]
+    np.testing.assert_allclose(se3.matrix_from_quat(product), A @ B, atol=SE3_ROUND_TRIP_M)

@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from edge_agent.metrics import EdgeMetrics
+from edge_agent.reader import Event, EventQueue, Reader
+from splitslam.errors import InputError
+from splitslam.scan import Scan
+from tests.edge_agent.test_loop import imu_at, scan
+
+
+def events(count: int, imu_per_scan: int = 10, step_ns: int = 10_000_000) -> Iterator[Event]:
+    stamp_ns = 0
+    for k in range(count):
+        for _ in range(imu_per_scan):
+            yield stamp_ns, imu_at(stamp_ns)
+            stamp_ns += step_ns
+        yield stamp_ns, scan(k)
+
+
+def flat(batches: list[list[Event]]) -> list[Event]:
+    return [event for batch in batches for event in batch]
+
+
+def test_in_lockstep_nothing_is_lost_and_batches_end_at_scans():
+    queue = EventQueue(2, may_drop=False, metrics=EdgeMetrics())
+    reader = Reader(events(20), queue, realtime=False)
+    reader.start()
+    batches = []
+    for batch in queue.batches():
+        time.sleep(0.002)
+        batches.append(batch)
+    assert len(flat(batches)) == 20 * 11
+    assert all(isinstance(batch[-1][1], Scan) for batch in batches if batch)
+    assert reader.cpu_s > 0.0
+
+
+def test_in_lockstep_no_more_scans_wait_than_the_queue_holds():
+    queue = EventQueue(2, may_drop=False, metrics=EdgeMetrics())
+    read = []
+
+    def watched() -> Iterator[Event]:
+        for event in events(20):
+            read.append(event)
+            yield event
+
+    reader = Reader(watched(), queue, realtime=False)
+    reader.start()
+    time.sleep(0.1)
+    assert sum(isinstance(data, Scan) for _, data in read) == 3
+    reader.stop()
+    reader.join(1.0)
+    assert not reader.is_alive()
+
+
+def test_by_the_clock_events_come_no_sooner_than_in_the_recording():
+    queue = EventQueue(50, may_drop=True, metrics=EdgeMetrics())
+    Reader(events(5), queue, realtime=True).start()
+    started_s = time.monotonic()
+    late_s = []
+    for batch in queue.batches():
+        late_s += [time.monotonic() - started_s - arrival_ns * 1e-9 for arrival_ns, _ in batch]
+    assert min(late_s) > -0.005
+    assert len(late_s) == 55
+    assert time.monotonic() - started_s >= 0.5
+
+
+def test_by_the_clock_a_full_queue_drops_the_oldest_scan_and_counts_it_but_keeps_every_sample():
+    metrics = EdgeMetrics()
+    queue = EventQueue(2, may_drop=True, metrics=metrics)
+    reader = Reader(events(10, step_ns=100_000), queue, realtime=True)
+    reader.start()
+    reader.join(5.0)
+    left = flat(list(queue.batches()))
+    assert metrics.dropped == {"queue_full": 8}
+    assert [data.stamp_ns for _, data in left if isinstance(data, Scan)] == [scan(8).stamp_ns, scan(9).stamp_ns]
+    assert sum(not isinstance(data, Scan) for _, data in left) == 100
+
+
+def test_an_error_while_reading_comes_out_of_the_loop_after_what_was_read():
+    def broken() -> Iterator[Event]:
+        yield from events(3)
+        raise InputError("x.bag: truncated")
+
+    queue = EventQueue(50, may_drop=False, metrics=EdgeMetrics())
+    Reader(broken(), queue, realtime=False).start()
+    seen: list[Event] = []
+
+    def loop() -> None:
+        for batch in queue.batches():
+            seen.extend(batch)
+
+    with pytest.raises(InputError, match="truncated"):
+        loop()
+    assert len(seen) == 33
+
+
+def test_stop_ends_the_loop_and_the_reader_at_once():
+    queue = EventQueue(2, may_drop=True, metrics=EdgeMetrics())
+    reader = Reader(events(1000), queue, realtime=True)
+    reader.start()
+    threading.Timer(0.1, reader.stop).start()
+    started_s = time.monotonic()
+    assert len(list(queue.batches())) < 100
+    reader.join(1.0)
+    assert time.monotonic() - started_s < 1.0
