@@ -33,15 +33,15 @@ class RawScan:
 
 
 class Gate:
-    """Keeps the points a scan may use and counts the others by reason in `counts`."""
+    """Keeps the points a scan may use and counts the others by reason in `left_out`."""
 
-    def __init__(self, robot: Robot, counts: Counter[str]) -> None:
+    def __init__(self, robot: Robot, left_out: Counter[str]) -> None:
         self._rings = robot.lidar.rings
         self._min_sq = np.float32(robot.lidar.min_range_m**2)
         self._max_sq = np.float32(robot.lidar.max_range_m**2)
         self._boxes = [np.array(box, dtype=np.float32).reshape(2, 3) for box in robot.lidar.crop_boxes_body]
         self._T_body_lidar = robot.T_body_lidar.astype(np.float32)
-        self._counts = counts
+        self._left_out = left_out
 
     def __call__(self, raw: RawScan) -> Scan:
         """RawScan -> Scan; DataError `empty`, `nan` or `point_time` when nothing usable is left."""
@@ -56,10 +56,10 @@ class Gate:
         known = (raw.ring >= 0) & (raw.ring < self._rings)
         keep = inside & known
         n_finite, n_zero = int(np.count_nonzero(finite)), int(np.count_nonzero(zero))
-        self._count("nan_points", len(p) - n_finite)
-        self._count("zero_points", n_zero)
-        self._count("gated_points", n_finite - n_zero - int(np.count_nonzero(inside & finite)))
-        self._count("unknown_ring_points", int(np.count_nonzero(inside & ~known)))
+        self._count("nan", len(p) - n_finite)
+        self._count("zero", n_zero)
+        self._count("gated", n_finite - n_zero - int(np.count_nonzero(inside & finite)))
+        self._count("unknown_ring", int(np.count_nonzero(inside & ~known)))
         if self._boxes:
             keep = self._crop(p, keep)
         if not keep.any():
@@ -81,11 +81,11 @@ class Gate:
         in_box = np.zeros(len(index), dtype=bool)
         for low, high in self._boxes:
             in_box |= ((points_body >= low) & (points_body <= high)).all(axis=1)
-        self._count("cropped_points", int(in_box.sum()))
+        self._count("cropped", int(in_box.sum()))
         keep = keep.copy()
         keep[index[in_box]] = False
         return keep
 
     def _count(self, name: str, n: int) -> None:
         if n:
-            self._counts[name] += n
+            self._left_out[name] += n

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +40,26 @@ def open_recording(path: Path, robot: Robot, *, max_scans: int | None = None) ->
         raise
 
 
+@dataclass(slots=True)
+class Counts:
+    """What has been read so far.
+
+    read_points: valid points, after the gates. native_bytes: the sensor's own packets, 0 when there are none.
+    left_out: points that were left out, by reason: nan, zero, gated (range), cropped, unknown_ring.
+    """
+
+    scans_read: int = 0
+    imu_messages: int = 0
+    read_points: int = 0
+    native_bytes: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
+
+
 class Recording:
     """One pass over a recording; `events` can be iterated once.
 
     robot: the robot file with the chosen topics filled in, imu and gnss None when the recording has none.
     beam_elevations_rad: (rings,) float32. topics: sensor -> topic. notes: lines to print once.
-    counts: scans_read, imu_messages, read_points (valid points, after the gates), native_bytes, and points left out
-    by reason (nan_points, zero_points, gated_points, cropped_points, unknown_ring_points).
     dropped: messages that could not be used, by reason. start_ns, end_ns: recorded time (arrival) of the first and
     last message of the part read so far, 0 before the first.
     scan_count: scans to expect, by the recording's index.
@@ -56,7 +70,7 @@ class Recording:
         self._name = str(bag.path)
         self._max_scans = max_scans
         self.notes: list[str] = []
-        self.counts: Counter[str] = Counter()
+        self.counts = Counts()
         self.dropped: Counter[str] = Counter()
         self.start_ns = 0
         self.end_ns = 0
@@ -73,7 +87,7 @@ class Recording:
         if isinstance(self._decoder, CloudDecoder):
             self._decoder.beam_elevations_rad = self.beam_elevations_rad
             self.notes.extend(self._decoder.notes)
-        self._gate = Gate(self.robot, self.counts)
+        self._gate = Gate(self.robot, self.counts.left_out)
 
     def events(self) -> Iterator[tuple[int, Event]]:
         """(arrival time ns, Scan | ImuSamples | GnssFix) in recording order; closes the recording at its end.
@@ -91,13 +105,13 @@ class Recording:
                 is_scan = topic == self.topics["lidar"]
                 if stop_ns is not None and arrival_ns > stop_ns:
                     return
-                if is_scan and self.counts["scans_read"] == self._max_scans:
+                if is_scan and self.counts.scans_read == self._max_scans:
                     continue
                 self.start_ns = min(self.start_ns or arrival_ns, arrival_ns)
                 self.end_ns = max(self.end_ns, arrival_ns)
                 if is_scan:
-                    self.counts["scans_read"] += 1
-                    if self.counts["scans_read"] == self._max_scans:
+                    self.counts.scans_read += 1
+                    if self.counts.scans_read == self._max_scans:
                         stop_ns = arrival_ns + (_TAIL_NS if "imu" in self.topics else 0)
                 try:
                     if isinstance(message, DataError):
@@ -114,13 +128,13 @@ class Recording:
 
     def _scan(self, message: Any) -> Scan:
         raw = self._decoder(message)
-        self.counts["native_bytes"] += raw.native_bytes
+        self.counts.native_bytes += raw.native_bytes
         scan = self._gate(raw)
-        self.counts["read_points"] += len(scan)
+        self.counts.read_points += len(scan)
         return scan
 
     def _imu(self, message: Any) -> ImuSamples:
-        self.counts["imu_messages"] += 1
+        self.counts.imu_messages += 1
         assert self.robot.imu is not None
         return messages.imu_samples(message, self.robot.imu.time_offset_ns)
 

@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket
 
 _JUMP_NS = 1_000_000_000  # a longer step ahead is believed only when the next message confirms it
@@ -73,10 +74,10 @@ class Sequencer:
     uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended.
     """
 
-    def __init__(self, *, imu: bool = True, dropped: Counter[str] | None = None) -> None:
-        self.dropped: Counter[str] = Counter() if dropped is None else dropped
+    def __init__(self, robot: Robot) -> None:
+        self.dropped: Counter[str] = Counter()
         self.uncovered = 0
-        self._imu = imu
+        self._imu = robot.imu is not None
         self._covered_ns: int | None = None
         self._waiting: deque[Scan] = deque()
         self._fixes: list[GnssFix] = []
