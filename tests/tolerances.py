@@ -6,6 +6,8 @@ from __future__ import annotations
 DESKEW_RANGE_M = 100.0
 # cpu against reference: float32 coordinates at 100 m have a step of 8 um; knot interpolation adds the rest.
 DESKEW_CPU_M = 1e-3
+# Codec v1 sends times as a line per ring with corrections of 40 us: within half a VLP-16 firing.
+CODEC_TIME_NS = 50_000
 
 # SE(3) maps in float64: exp and log undo each other to rounding.
 SE3_ROUND_TRIP_RAD = 1e-9

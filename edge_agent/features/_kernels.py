@@ -218,7 +218,7 @@ def spread(keep, target, chosen):
     """chosen[i] = 1 for `target` of the points with keep[i] = 1, evenly spaced in order (all, if there are fewer)."""
     n = 0
     for i in range(len(keep)):
-        n += keep[i]
+        n += 1 if keep[i] else 0
     wanted = min(target, n)
     k = 0
     for i in range(len(keep)):

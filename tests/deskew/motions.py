@@ -24,7 +24,9 @@ def turning(offsets_ns: np.ndarray, peak_radps: float, period_s: float = 1.0, ph
 
 def imu_offsets(rate_hz: float, end_ns: int = 100_000_000, first_ns: int = 700_000) -> np.ndarray:
     """Knot times as the Imu node has them: scan start, IMU samples off the grid, scan end."""
-    return np.unique(np.concatenate([[0], np.arange(first_ns, end_ns, round(1e9 / rate_hz)), [end_ns]])).astype(np.int64)
+    return np.unique(np.concatenate([[0], np.arange(first_ns, end_ns, round(1e9 / rate_hz)), [end_ns]])).astype(
+        np.int64
+    )
 
 
 def far_points(count: int, range_m: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

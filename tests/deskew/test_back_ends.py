@@ -77,7 +77,9 @@ def test_auto_is_cpu_until_there_is_an_overlay():
     assert make_deskewer("auto").name == "cpu"
 
 
-@pytest.mark.parametrize(("name", "text"), [("fpga", "overlay"), ("cosim", "overlay"), ("cuda", "expected one of auto")])
+@pytest.mark.parametrize(
+    ("name", "text"), [("fpga", "overlay"), ("cosim", "overlay"), ("cuda", "expected one of auto")]
+)
 def test_a_back_end_that_is_not_there_is_one_clear_line(name: str, text: str):
     with pytest.raises(InputError, match=text) as error:
         make_deskewer(name)

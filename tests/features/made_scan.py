@@ -66,7 +66,9 @@ class KnownMotion:
             T_prev_lidar=se3.exp(0.1 * self.twist),
             covariance=np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4]),
             velocity_lidar_mps=self.twist[3:],
-            knots=Knots(offsets, np.array([se3.so3_log(T[:3, :3]) for T in poses]), np.array([T[:3, 3] for T in poses])),
+            knots=Knots(
+                offsets, np.array([se3.so3_log(T[:3, :3]) for T in poses]), np.array([T[:3, 3] for T in poses])
+            ),
             gravity_lidar=np.array([0.0, 0.6, -0.8]),
             gravity_sigma_rad=0.01,
             velocity_known=True,

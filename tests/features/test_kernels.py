@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def ranges(rng: np.random.Generator, n: int) -> np.ndarray:
 
 def columns_with_gaps(rng: np.random.Generator, ring_start: np.ndarray) -> np.ndarray:
     column = np.empty(ring_start[-1], np.uint16)
-    for a, b in zip(ring_start[:-1], ring_start[1:], strict=True):
+    for a, b in pairwise(ring_start):
         column[a:b] = np.cumsum(np.where(rng.random(b - a) < 0.05, rng.integers(2, 25, b - a), 1))
     return column
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from splitslam.scan import Scan
 from tests.features.made_scan import made_scan
 
 
-def features(scan: Scan, dense: bool, **settings: float) -> tuple[FeatureSet, FeatureSet]:
+def features(scan: Scan, dense: bool, **settings: Any) -> tuple[FeatureSet, FeatureSet]:
     image = Projector(16, 1800).project(scan)
     smooth = SmoothnessFilter(16 * 1800)(image)
     return Selector(FeatureSettings(**settings), 16, 1800).select(image, image.points_lidar, smooth, dense)
@@ -27,9 +29,7 @@ def test_every_feature_is_a_real_point_with_its_ring_time_and_intensity(dense: b
     }
     for chosen in features(scan, dense):
         assert len(chosen) > 100
-        for p, r, t, i in zip(
-            chosen.points_lidar, chosen.ring, chosen.t_offset_ns, chosen.intensity, strict=True
-        ):
+        for p, r, t, i in zip(chosen.points_lidar, chosen.ring, chosen.t_offset_ns, chosen.intensity, strict=True):
             assert known[p.tobytes()] == (r, t, i)
 
 
@@ -86,7 +86,9 @@ def test_masked_points_are_never_corners():
     scan = made_scan()
     image = Projector(16, 1800).project(scan)
     smooth = SmoothnessFilter(16 * 1800)(image)
-    masked = {(int(r), int(c)) for r, c in zip(image.ring[smooth.masked == 1], image.column[smooth.masked == 1], strict=True)}
+    masked = {
+        (int(r), int(c)) for r, c in zip(image.ring[smooth.masked == 1], image.column[smooth.masked == 1], strict=True)
+    }
     corners, _ = Selector(FeatureSettings(), 16, 1800).select(image, image.points_lidar, smooth, True)
     assert len(masked) > 100
     assert not masked & {(int(r), int(c)) for r, c in zip(corners.ring, corners.column, strict=True)}
