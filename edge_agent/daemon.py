@@ -10,7 +10,7 @@ from typing import Any
 
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
-from edge_agent.imu.node import ImuNode
+from edge_agent.imu import make_imu_node
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.outputs import Outputs
@@ -18,8 +18,7 @@ from edge_agent.pipeline import EdgePipeline
 from edge_agent.reader import EventQueue, Reader
 from edge_agent.run_id import RunState
 from edge_agent.sink import AgentSink, Progress
-from edge_agent.sources import Recording, open_recording
-from edge_agent.sources.sequencer import Sequencer
+from edge_agent.sources import Recording, Sequencer, open_recording
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import Uplink
 from edge_agent.warm_up import warm_up
@@ -52,7 +51,7 @@ def run_agent(config: AgentConfig, stop: threading.Event) -> None:
         outputs = Outputs(config.output.dir) if config.output.dir else None
         if outputs is not None:
             cleanup.callback(outputs.discard)  # does nothing once they are published
-        _Run(config, robot, recording, metrics, outputs, cleanup).run(stop)
+        _Run(config, recording, metrics, outputs, cleanup).run(stop)
 
 
 def _robot(config: AgentConfig) -> Robot:
@@ -67,16 +66,15 @@ class _Run:
     def __init__(
         self,
         config: AgentConfig,
-        robot: Robot,
         recording: Recording,
         metrics: EdgeMetrics,
         outputs: Outputs | None,
         cleanup: ExitStack,
     ) -> None:
         self._config, self._recording, self._metrics, self._outputs = config, recording, metrics, outputs
-        source = config.source
+        source, robot = config.source, recording.robot
         beams = recording.beam_elevations_rad
-        self._imu = ImuNode(robot, config.imu)
+        self._imu = make_imu_node(robot, config.imu)
         self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
         warm_up(robot, config.pipeline, config.imu, beams)
         self._run_state = RunState(config.state_dir)
@@ -91,6 +89,7 @@ class _Run:
         self._tally = Tally(keep=config.output.dir is not None)
         self._progress = Progress(config.output.progress)
         self._sequencer = Sequencer(robot)
+        metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
         self._sink = AgentSink(
             tally=self._tally,
             outputs=outputs,
@@ -99,7 +98,7 @@ class _Run:
             run=self._run_id,
             run_state=self._run_state,
             reader_cpu_s=lambda: self._reader.cpu_s,
-            report_drops=lambda: self._uplink.report_drops(self._dropped()),
+            report_drops=lambda: self._uplink.report_drops(self._metrics.all_dropped()),
         )
         cleanup.callback(self._uplink.close)
         cleanup.callback(self._reader.stop)
@@ -129,14 +128,14 @@ class _Run:
         if (welcome := self._uplink.wait_welcome()) is None:
             return
         loop = self._loop(welcome)
-        self._progress.start(self._config.source.max_scans)
+        self._progress.start(self._recording.scan_count)
         self._reader.start()
         loop.run(self._queue.batches())
         finished = None
         if not stop.is_set() and loop.finish():
             self._tally.end(self._reader.cpu_s)
             self._nothing_usable()
-            self._uplink.report_drops(self._dropped())
+            self._uplink.report_drops(self._metrics.all_dropped())
             finished = self._uplink.finish(self._pipeline.seq)
         if finished is not None:
             self._run_state.forget()
@@ -145,7 +144,7 @@ class _Run:
         self._uplink.close()
         if self._outputs is not None:
             self._outputs.publish(self._report(welcome.session_id, finished is None))
-        self._progress.end(self._sink.read, self._tally.mapped)
+        self._progress.end(self._recording.counts["scans_read"], self._tally.mapped)
 
     def _watch(self, stop: threading.Event) -> None:
         stop.wait()
@@ -165,19 +164,18 @@ class _Run:
 
     def _nothing_usable(self) -> None:
         if self._pipeline.seq == 0:
-            why = ", ".join(f"{count} {reason}" for reason, count in sorted(self._dropped().items())) or "none in it"
+            why = (
+                ", ".join(f"{count} {reason}" for reason, count in sorted(self._metrics.all_dropped().items()))
+                or "none in it"
+            )
             raise InputError(f"{self._config.source.recording}: no usable scans ({why}); expected at least one")
-
-    def _dropped(self) -> dict[str, int]:
-        """Everything lost so far by reason: while reading, while sequencing, and after."""
-        return dict(self._metrics.dropped + self._recording.dropped + self._sequencer.dropped)
 
     def _report(self, session_id: str, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""
         tally, counts = self._tally, self._recording.counts
         recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
-        read = counts.scans_read
+        read = counts["scans_read"]
         return {
             "session_id": session_id,
             "run_id": self._run_id.value,
@@ -186,9 +184,9 @@ class _Run:
             "recording_s": recording_s,
             **tally.times(),
             **stage_summaries(self._metrics),
-            **tally.link(self._uplink.tcp_bytes(), recording_s, counts.imu_messages, counts.native_bytes),
+            **tally.link(self._uplink.tcp_bytes(), recording_s, counts),
             "jumps": jumps,
             "imu_resets": self._imu.resets,
-            "dropped_by_reason": self._dropped(),
+            "dropped_by_reason": self._metrics.all_dropped(),
             **tally.by_scan(),
         }
