@@ -224,6 +224,10 @@ class SessionHost:
                 self._fenced(session, error)
             except StoreError as error:
                 self._store_failed(session, error)
+            except Exception:  # this session's error must not end the others'
+                _log.exception("commit failed", extra={"fields": {"session": session.request.session_id}})
+                self._abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
+                self._drop(session.request.session_id)
         self._evict()
 
     def _evict(self) -> None:

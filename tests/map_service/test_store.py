@@ -1,0 +1,296 @@
+"""The store: epochs, fenced atomic commits, what comes back."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sqlalchemy import update
+
+from map_service import schema
+from map_service.catalog import Catalog
+from map_service.commits import Committer
+from map_service.config import CommitConfig
+from map_service.store import FencedError, FinishedError, Opening, SessionCommit, Store, StoreError
+from map_service.tally import Tally
+from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord
+from splitslam import se3
+from splitslam.errors import InputError
+
+OPENING = Opening("r/1", "r", "1", "site", "", "robot: {}")
+POSE_TOLERANCE = 1e-12  # a rotation goes through a unit quaternion in float64
+
+
+@pytest.fixture
+def url(tmp_path: Path) -> str:
+    return f"sqlite:///{tmp_path}/map.db"
+
+
+@pytest.fixture
+def store(url: str) -> Iterator[Store]:
+    opened = Store(url)
+    yield opened
+    opened.close()
+
+
+def pose(seed: int) -> np.ndarray:
+    return se3.exp(np.random.default_rng(seed).normal(size=6))
+
+
+def entry(previous: int, last: int, *, keyframes: tuple[int, ...] = (), **changes) -> SessionCommit:
+    """Frames previous + 1 .. last on keyframe 0."""
+    seqs = range(previous + 1, last + 1)
+    commit = Commit(
+        previous,
+        last,
+        [FrameRecord(seq, 1000 * seq, 0, pose(seq), pose(seq + 100), 2) for seq in seqs],
+        [KeyframeRecord(k, previous + 1, 1000 * (previous + 1), pose(1000 + k), bytes([k])) for k in keyframes],
+        [FactorRecord(k, "loop" if k else "prior", b"factor") for k in keyframes],
+        [],
+        f"tracker {last}".encode(),
+    )
+    return replace(SessionCommit(commit, {seq: pose(seq + 200) for seq in seqs}), **changes)
+
+
+def test_each_opening_adds_one_to_the_epoch(store: Store) -> None:
+    assert [store.open_session(OPENING).epoch for _ in range(3)] == [1, 2, 3]
+
+
+def test_two_owners_never_get_the_same_epoch(url: str) -> None:
+    stores = [Store(url) for _ in range(4)]
+    with ThreadPoolExecutor(4) as threads:
+        opened = list(threads.map(lambda i: stores[i % 4].open_session(OPENING), range(40)))
+    assert sorted(o.epoch for o in opened) == list(range(1, 41))
+    assert len({o.key for o in opened}) == 1
+    for s in stores:
+        s.close()
+
+
+def test_what_was_committed_comes_back_as_it_was(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    first = entry(0, 3, keyframes=(0,))
+    store.commit(opened.key, 1, first)
+    second = entry(3, 6, keyframes=(1,), rejected=[(6, 6000, "corrupt")], statistics='{"cpu_ms": 5}')
+    second.commit.frames.pop()
+    store.commit(opened.key, 1, second)
+    snapshot = store.load(opened.key)
+    assert (snapshot.last_seq, snapshot.tracker) == (6, b"tracker 6")
+    assert [f.seq for f in snapshot.frames] == [1, 2, 3, 4, 5]
+    for stored, given in zip(snapshot.frames, first.commit.frames + second.commit.frames, strict=True):
+        assert (stored.stamp_ns, stored.keyframe, stored.state) == (given.stamp_ns, given.keyframe, given.state)
+        np.testing.assert_allclose(stored.T_keyframe_lidar, given.T_keyframe_lidar, atol=POSE_TOLERANCE)
+        np.testing.assert_allclose(stored.T_map_lidar_online, given.T_map_lidar_online, atol=POSE_TOLERANCE)
+    assert [(k.index, k.cloud) for k in snapshot.keyframes] == [(0, b"\x00"), (1, b"\x01")]
+    assert [(f.index, f.kind, f.payload) for f in snapshot.factors] == [(0, "prior", b"factor"), (1, "loop", b"factor")]
+    row = Catalog(store).session("r/1")
+    assert row is not None
+    assert (row.frames, row.rejected, row.keyframes, row.loops, row.gnss_factors) == (5, 1, 2, 1, 0)
+    assert (row.first_stamp_ns, row.last_stamp_ns) == (1000, 6000)
+    again = store.open_session(OPENING)
+    assert (again.epoch, again.last_seq, again.statistics) == (2, 6, '{"cpu_ms": 5}')
+
+
+def test_the_last_answers_come_back_in_order_with_both_poses(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 5, keyframes=(0,)))
+    answers = store.answers(opened.key, last=2)
+    assert [a.seq for a in answers] == [4, 5]
+    (fourth,) = store.answers(opened.key, seq=4)
+    assert fourth.T_map_lidar is not None
+    assert fourth.T_map_odom is not None
+    np.testing.assert_allclose(fourth.T_map_lidar, pose(104), atol=POSE_TOLERANCE)
+    np.testing.assert_allclose(fourth.T_map_odom, pose(204), atol=POSE_TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("epoch", "previous"),
+    [
+        pytest.param(1, 3, id="an older epoch"),
+        pytest.param(2, 2, id="frames that the store has already"),
+        pytest.param(2, 4, id="frames with a hole before them"),
+    ],
+)
+def test_a_commit_that_does_not_fit_is_fenced_and_writes_nothing(store: Store, epoch: int, previous: int) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
+    store.open_session(OPENING)
+    with pytest.raises(FencedError):
+        store.commit(opened.key, epoch, entry(previous, 8, keyframes=(1,)))
+    snapshot = store.load(opened.key)
+    assert (snapshot.last_seq, len(snapshot.frames), len(snapshot.keyframes)) == (3, 3, 1)
+
+
+def test_a_commit_whose_outcome_was_lost_can_be_sent_again(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    for _ in range(2):
+        store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
+    assert len(store.load(opened.key).frames) == 3
+
+
+def test_a_commit_is_all_or_nothing(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    broken = entry(0, 3, keyframes=(0,))
+    broken.commit.factors.append(broken.commit.factors[0])  # the same key twice: refused after the frames went in
+    with pytest.raises(Exception, match="UNIQUE"):
+        store.commit(opened.key, 1, broken)
+    snapshot = store.load(opened.key)
+    assert (snapshot.last_seq, snapshot.frames, snapshot.keyframes) == (0, [], [])
+
+
+def test_a_keyframe_that_comes_again_replaces_the_one_before(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
+    again = entry(3, 4)
+    again.commit.keyframes.append(KeyframeRecord(0, 1, 1000, pose(7), b"better"))
+    store.commit(opened.key, 1, again)
+    (keyframe,) = store.load(opened.key).keyframes
+    assert keyframe.cloud == b"better"
+    np.testing.assert_allclose(keyframe.T_map_lidar, pose(7), atol=POSE_TOLERANCE)
+    row = Catalog(store).session("r/1")
+    assert row is not None
+    assert row.keyframes == 1
+
+
+def test_the_trajectory_follows_the_corrected_keyframes(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
+    moved = entry(3, 4)
+    moved.commit.keyframe_poses.append((0, pose(42)))
+    store.commit(opened.key, 1, moved)
+    (page,) = Catalog(store).trajectory(opened.key)
+    assert [seq for seq, _, _ in page] == [1, 2, 3, 4]
+    np.testing.assert_allclose(page[2][2], pose(42) @ pose(3), atol=POSE_TOLERANCE)
+
+
+def test_a_trajectory_comes_in_pages_of_at_most_a_thousand(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 2500, keyframes=(0,)))
+    assert [len(page) for page in Catalog(store).trajectory(opened.key)] == [1000, 1000, 500]
+
+
+def test_a_finished_session_takes_no_commit_and_no_owner(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 3, keyframes=(0,), finished=True))
+    with pytest.raises(FencedError):
+        store.commit(opened.key, 1, entry(3, 4))
+    with pytest.raises(FinishedError):
+        store.open_session(OPENING)
+
+
+def test_the_owner_of_a_deleted_session_cannot_write_into_its_successor(store: Store) -> None:
+    old = store.open_session(OPENING)
+    assert Catalog(store).delete("r/1") is not None
+    new = store.open_session(OPENING)
+    assert new.epoch == old.epoch
+    with pytest.raises(FencedError):
+        store.commit(old.key, old.epoch, entry(0, 3, keyframes=(0,)))
+    assert store.load(new.key).frames == []
+
+
+def test_a_delete_says_what_it_removed_and_leaves_no_row(store: Store) -> None:
+    for session_id in ("r/1", "r/2"):
+        opened = store.open_session(replace(OPENING, session_id=session_id))
+        store.commit(opened.key, 1, entry(0, 3, keyframes=(0, 1)))
+    catalog = Catalog(store)
+    total = catalog.bytes()
+    deleted = catalog.delete("r/1")
+    assert deleted is not None
+    assert (deleted.frames, deleted.keyframes, 2 * deleted.bytes) == (3, 2, total)
+    assert catalog.bytes() == total - deleted.bytes
+    with store.reading() as connection:
+        for table in (schema.frames, schema.keyframes, schema.clouds, schema.factors):
+            assert {row.session for row in connection.execute(table.select())} == {opened.key}
+    assert catalog.delete("r/1") is None
+
+
+def test_a_database_that_another_holds_locked_is_a_store_error(url: str, store: Store) -> None:
+    opened = store.open_session(OPENING)
+    impatient = Store(url)
+    with impatient.reading() as connection:
+        connection.exec_driver_sql("PRAGMA busy_timeout=50")
+    locker = sqlite3.connect(url.removeprefix("sqlite:///"), isolation_level=None)
+    locker.execute("BEGIN IMMEDIATE")
+    with pytest.raises(StoreError, match="locked"):
+        impatient.commit(opened.key, 1, entry(0, 1, keyframes=(0,)))
+    locker.execute("ROLLBACK")
+    locker.close()
+    impatient.commit(opened.key, 1, entry(0, 1, keyframes=(0,)))
+    impatient.close()
+
+
+class FailingStore:
+    """Fails a number of times, then works."""
+
+    def __init__(self, failures: int) -> None:
+        self.failures = failures
+        self.written: list[int] = []
+
+    def commit(self, key: int, epoch: int, commit: SessionCommit) -> None:
+        if self.failures:
+            self.failures -= 1
+            raise StoreError("down")
+        self.written.append(commit.commit.last_seq)
+
+
+def test_a_failing_store_is_tried_again_and_the_order_is_kept() -> None:
+    store = FailingStore(failures=2)
+    log = Committer(store, CommitConfig(), Tally()).log(1, 1, 0)  # type: ignore[arg-type]
+    log.put(entry(0, 3))
+    log.put(entry(3, 5))
+    log.flush()
+    assert store.written == [3, 5]
+    assert log.durable_seq == 5
+
+
+def test_after_a_commit_that_failed_for_good_no_later_one_is_written() -> None:
+    store = FailingStore(failures=1)
+    log = Committer(store, CommitConfig(retry_s=0), Tally()).log(1, 1, 0)  # type: ignore[arg-type]
+    log.put(entry(0, 3))
+    log.put(entry(3, 5))
+    with pytest.raises(StoreError, match="down"):
+        log.flush()
+    with pytest.raises(StoreError, match="earlier"):
+        log.flush()
+    assert store.written == []
+    assert log.durable_seq == 0
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        ("nonsense", "expected sqlite:///FILE"),
+        ("sqlite://", "expected sqlite:///FILE"),
+        ("sqlite:////nowhere/at/all/map.db", "no directory /nowhere/at/all"),
+        ("oracle+none://user:secret@host/db", "host/db"),
+    ],
+)
+def test_a_url_that_cannot_be_opened_is_one_line_without_its_password(bad: str, said: str) -> None:
+    with pytest.raises(InputError) as error:
+        Store(bad)
+    assert said in str(error.value)
+    assert "secret" not in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_no_database_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "map.db").write_text("this is not a database " * 100)
+    with pytest.raises(InputError, match="not a database"):
+        Store(f"sqlite:///{tmp_path}/map.db")
+
+
+def test_a_store_of_another_schema_version_is_refused(url: str, store: Store) -> None:
+    with store.writing() as connection:
+        connection.execute(update(schema.meta).values(value="99"))
+    with pytest.raises(InputError, match="schema version 99"):
+        Store(url)
+
+
+def test_commits_survive_a_power_cut(store: Store) -> None:
+    with store.reading() as connection:
+        assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
+        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
