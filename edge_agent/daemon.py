@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 def run_agent(config: AgentConfig, stop: threading.Event) -> None:
     """Runs until the source ends or `stop` is set; then the session stays open, to be resumed.
 
-    Raises InputError for what the user can mend; nothing half-written is left behind.
+    `stop` is set in any case when this returns. Raises InputError for what the user can mend; nothing half-written is left behind.
     """
     robot = _robot(config)
     recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
@@ -72,6 +72,7 @@ class _Run:
         cleanup: ExitStack,
     ) -> None:
         self._config, self._recording, self._metrics, self._outputs = config, recording, metrics, outputs
+        self._cleanup = cleanup
         source, robot = config.source, recording.robot
         beams = recording.beam_elevations_rad
         self._imu = make_imu_node(robot, config.imu)
@@ -124,6 +125,8 @@ class _Run:
         """Connect, read, process, say Bye, report."""
         watcher = threading.Thread(target=self._watch, args=(stop,), name="stopper", daemon=True)
         watcher.start()
+        self._cleanup.callback(watcher.join)
+        self._cleanup.callback(stop.set)  # lets the watcher go
         self._uplink.start()
         if (welcome := self._uplink.wait_welcome()) is None:
             return
@@ -144,7 +147,7 @@ class _Run:
         self._uplink.close()
         if self._outputs is not None:
             self._outputs.publish(self._report(welcome.session_id, finished is None))
-        self._progress.end(self._recording.counts["scans_read"], self._tally.mapped)
+        self._progress.end(self._recording.counts.scans_read, self._tally.mapped)
 
     def _watch(self, stop: threading.Event) -> None:
         stop.wait()
@@ -175,7 +178,7 @@ class _Run:
         tally, counts = self._tally, self._recording.counts
         recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
-        read = counts["scans_read"]
+        read = counts.scans_read
         return {
             "session_id": session_id,
             "run_id": self._run_id.value,

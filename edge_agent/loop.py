@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.metrics import EdgeMetrics
-from edge_agent.reader import Event
+from edge_agent.reader import TimedEvent
+from edge_agent.sources import Event
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
-from splitslam.scan import ImuSamples, Scan, ScanPacket
+from splitslam.scan import ImuSamples, ScanPacket
 from splitslam.wire import session_pb2 as pb
 
 UNANCHORED = 4
@@ -65,7 +66,6 @@ class Uplink(Protocol):
 class Sink(Protocol):
     """Where results go: edge_agent.sink.AgentSink."""
 
-    def on_scan_read(self, scan: Scan) -> None: ...
     def on_scan_begun(self) -> None: ...
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: NDArray[np.float64]) -> pb.Frame: ...
     def on_answer(self, answer: Answer) -> None: ...
@@ -92,16 +92,14 @@ class AgentLoop:
         self._held_back: list[Answer] = []
         self.stopped = False
 
-    def run(self, batches: Iterable[list[Event]]) -> None:
+    def run(self, batches: Iterable[list[TimedEvent]]) -> None:
         """Until the batches end or the uplink is stopped. Then every frame is answered, unless stopped."""
         parts = self._parts
         for batch in batches:
             if not self._lockstep:
                 self._apply_answers(None)
             items: list[ImuSamples | ScanPacket] = []
-            for event in batch:
-                if isinstance(event[1], Scan):
-                    parts.sink.on_scan_read(event[1])
+            for _, event in batch:
                 items += parts.sequencer.push(event)
             self._take(items)
             if self.stopped:

@@ -10,11 +10,13 @@ from wsgiref.simple_server import WSGIServer
 import numpy as np
 from numpy.typing import NDArray
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
+from prometheus_client.metrics_core import CounterMetricFamily
+from prometheus_client.registry import Collector
 
 from splitslam.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 _BUCKETS_S = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.256, 0.512, 1.024, 4.096)
 
@@ -50,6 +52,19 @@ class Series:
         return summary(np.asarray(self.values_s) * 1e3)
 
 
+class _Drops(Collector):
+    """splitslam_edge_dropped_total{reason}, computed when it is asked for."""
+
+    def __init__(self, metrics: EdgeMetrics) -> None:
+        self._metrics = metrics
+
+    def collect(self) -> Iterator[CounterMetricFamily]:
+        family = CounterMetricFamily("splitslam_edge_dropped", "What was dropped, by reason", labels=["reason"])
+        for reason, count in sorted(self._metrics.all_dropped().items()):
+            family.add_metric([reason], count)
+        yield family
+
+
 class EdgeMetrics:
     """Every metric of the agent, in a registry of its own (several agents may live in one process)."""
 
@@ -62,14 +77,13 @@ class EdgeMetrics:
         self.stage_wall: dict[str, Series] = {}
         self.round_trip = Series(self._histogram("round_trip_seconds", "Frame handed over to answer received"), keep)
         self._uplink = self._counter("uplink_bytes", "Serialized messages sent, by kind", ["kind"])
-        self._dropped = self._counter("dropped", "What was dropped, by reason", ["reason"])
         self.dropped: Tally[str] = Tally()
+        self.drop_sources: list[Tally[str]] = [self.dropped]
+        self.registry.register(_Drops(self))
         self.scans = self._counter("scans", "Scans by what became of them", ["result"])
         self.connects = self._counter("connects", "Streams that were answered with a Welcome")
         self.reconnects = self._counter("reconnects", "Streams that broke", ["cause"])
-        self.ignored = self._counter(
-            "ignored_answers", "Answers not handed on", ["cause"]
-        )
+        self.ignored = self._counter("ignored_answers", "Answers not handed on", ["cause"])
         self.state = self._gauge("state", "Tracking state, the numbers of splitslam.v1.TrackingState")
         self.buffer_frames = self._gauge("buffer_frames", "Frames kept until they are durable and answered")
         self.buffer_bytes = self._gauge("buffer_bytes", "Bytes of the kept frames")
@@ -89,7 +103,13 @@ class EdgeMetrics:
     def drop(self, reason: str, count: int = 1) -> None:
         """Counts something that is lost."""
         self.dropped[reason] += count
-        self._dropped.labels(reason).inc(count)
+
+    def all_dropped(self) -> dict[str, int]:
+        """Everything lost so far by reason, also by those who count for themselves (`drop_sources`)."""
+        total: Tally[str] = Tally()
+        for source in self.drop_sources:
+            total += Tally(source)  # a copy first: the reader's thread goes on counting
+        return dict(total)
 
     def sent(self, kind: str, size: int) -> None:
         """Counts one message on the uplink."""

@@ -8,9 +8,10 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from edge_agent.metrics import EdgeMetrics
-from splitslam.scan import GnssFix, ImuSamples, Scan
+from edge_agent.sources import Event
+from splitslam.scan import Scan
 
-Event = tuple[int, Scan | ImuSamples | GnssFix]
+TimedEvent = tuple[int, Event]  # arrival time in the recording, ns
 _BATCH = 256  # events without a scan that are handed over together
 _MAX_EVENTS = 100_000
 _TICK_S = 0.005  # by the clock, what is due within one tick travels together
@@ -24,14 +25,14 @@ class EventQueue:
 
     def __init__(self, max_scans: int, may_drop: bool, metrics: EdgeMetrics) -> None:
         self._max_scans, self._may_drop, self._metrics = max_scans, may_drop, metrics
-        self._batches: deque[list[Event]] = deque()
+        self._batches: deque[list[TimedEvent]] = deque()
         self._scans = self._events = 0
         self._changed = threading.Condition()
         self._ended = False
         self._closed = False
         self._error: BaseException | None = None
 
-    def put(self, batch: list[Event]) -> bool:
+    def put(self, batch: list[TimedEvent]) -> bool:
         """Adds a batch; False when nobody reads any more."""
         with self._changed:
             if not self._may_drop:
@@ -73,7 +74,7 @@ class EventQueue:
             self._closed = True
             self._changed.notify_all()
 
-    def batches(self) -> Iterator[list[Event]]:
+    def batches(self) -> Iterator[list[TimedEvent]]:
         """The batches in order, until the end or `close`."""
         while True:
             with self._changed:
@@ -92,7 +93,7 @@ class EventQueue:
             yield batch
 
 
-def _scans(batch: list[Event]) -> int:
+def _scans(batch: list[TimedEvent]) -> int:
     return sum(isinstance(data, Scan) for _, data in batch)
 
 
@@ -103,7 +104,7 @@ class Reader(threading.Thread):
     Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
     """
 
-    def __init__(self, events: Iterable[Event], queue: EventQueue, realtime: bool) -> None:
+    def __init__(self, events: Iterable[TimedEvent], queue: EventQueue, realtime: bool) -> None:
         super().__init__(name="reader", daemon=True)
         self._events, self._queue, self._realtime = events, queue, realtime
         self._stopped = threading.Event()
@@ -122,7 +123,7 @@ class Reader(threading.Thread):
         self._queue.end(error)
 
     def _read(self) -> None:
-        batch: list[Event] = []
+        batch: list[TimedEvent] = []
         origin_s: float | None = None
         for event in self._events:
             self.cpu_s = time.thread_time()

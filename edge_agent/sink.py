@@ -20,7 +20,6 @@ from edge_agent.tally import Tally
 from edge_agent.types import EncodedFrame, OdomPoses
 from edge_agent.wire import Answer, frame_message
 from splitslam.codec import CODEC_VERSION
-from splitslam.scan import Scan
 from splitslam.wire import session_pb2 as pb
 
 _PROGRESS_EVERY_S = 0.1
@@ -65,13 +64,9 @@ class AgentSink:
     report_drops: Callable[[], None]
     read: int = 0
 
-    def on_scan_read(self, scan: Scan) -> None:
-        """A scan came out of the queue."""
-        self.read += 1
-        self.tally.valid_points += len(scan)
-
     def on_scan_begun(self) -> None:
         """A scan goes into the pipeline."""
+        self.read += 1
         self.tally.begin(self.reader_cpu_s())
 
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: NDArray[np.float64]) -> pb.Frame:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.sources.recording import Counts
 from edge_agent.tcp_meter import TcpBytes
 from edge_agent.types import EncodedFrame
 from edge_agent.wire import Answer
@@ -28,7 +29,6 @@ class Tally:
     rejected: int = 0
     corrections: int = 0
     correction_max_m: float = 0.0
-    valid_points: int = 0
     stamps_ns: list[int] = field(default_factory=list)
     frame_bytes: list[int] = field(default_factory=list)
     dense: list[bool] = field(default_factory=list)
@@ -75,9 +75,9 @@ class Tally:
         edge_ms, reader_ms = (process_s - reader_s) * 1e3 / scans, reader_s * 1e3 / scans
         return {"wall_s": wall_s, "cpu_ms_per_scan": {"edge": edge_ms, "reader": reader_ms}}
 
-    def link(self, tcp: TcpBytes, recording_s: float, imu_messages: int, native_bytes: int) -> dict[str, Any]:
-        """The keys `uplink` and `downlink` (CONVENTIONS). Rates go by recording time; null without any."""
-        raw_bytes = RAW_POINT_BYTES * self.valid_points + RAW_IMU_BYTES * imu_messages
+    def link(self, tcp: TcpBytes, recording_s: float, counts: Counts) -> dict[str, Any]:
+        """The keys `uplink` and `downlink` of report.json. Rates go by recording time; null without any."""
+        raw_bytes = RAW_POINT_BYTES * counts.read_points + RAW_IMU_BYTES * counts.imu_messages
 
         def kbps(size: int) -> float | None:
             return size * 8 / recording_s / 1000 if recording_s > 0 else None
@@ -90,7 +90,7 @@ class Tally:
                 "kbps": kbps(tcp.sent),
                 "bytes_per_scan": tcp.sent / self.sent if self.sent else None,
                 "raw_kbps": kbps(raw_bytes),
-                "native_kbps": kbps(native_bytes) if native_bytes else None,
+                "native_kbps": kbps(counts.native_bytes) if counts.native_bytes else None,
                 "ratio_to_raw": raw_bytes / tcp.sent if tcp.sent else None,
             },
             "downlink": {"bytes": tcp.received, "kbps": kbps(tcp.received)},

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent.imu.node import ImuNode
+from edge_agent.imu import make_imu_node
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
@@ -25,7 +25,7 @@ def warm_up(
     robot: Robot, pipeline: PipelineSettings, imu: ImuSettings, beam_elevations_rad: NDArray[np.float32]
 ) -> None:
     """Runs every kernel of the edge once with the types of a real run; leaves no trace."""
-    node = ImuNode(robot, imu)
+    node = make_imu_node(robot, imu)
     edge = EdgePipeline(robot, pipeline, beam_elevations_rad, node)
     for k in range(_SCANS):
         scan = _room(k * _SCAN_NS, robot, beam_elevations_rad)

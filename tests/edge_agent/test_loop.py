@@ -9,7 +9,8 @@ import pytest
 
 from edge_agent.loop import UNANCHORED, AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
-from edge_agent.reader import Event
+from edge_agent.reader import TimedEvent
+from edge_agent.sources import Event
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
@@ -34,7 +35,7 @@ class Log(list[str]):
 
 class PassThrough:
     def push(self, event: Event) -> list[ImuSamples | ScanPacket]:
-        return [ScanPacket(event[1])] if isinstance(event[1], Scan) else [event[1]]  # type: ignore[list-item]
+        return [ScanPacket(event)] if isinstance(event, Scan) else [event]  # type: ignore[list-item]
 
     def finish(self) -> list[ImuSamples | ScanPacket]:
         return []
@@ -93,7 +94,6 @@ class FakeSink:
     def __init__(self) -> None:
         self.states: list[int] = []
 
-    def on_scan_read(self, scan: Scan) -> None: ...
     def on_scan_begun(self) -> None: ...
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: np.ndarray) -> pb.Frame:
         return pb.Frame(seq=frame.seq, stamp_ns=frame.stamp_ns)
@@ -109,9 +109,9 @@ def parts(bad_stamps_ns: set[int] | None = None) -> tuple[Parts, Log]:
     return Parts(PassThrough(), imu, pipeline, uplink, FakeSink(), EdgeMetrics()), log  # type: ignore[arg-type]
 
 
-def batches(scans: int) -> Iterator[list[Event]]:
+def batches(scans: int) -> Iterator[list[TimedEvent]]:
     for k in range(1, scans + 1):
-        samples: list[Event] = [(0, imu_at(k * SCAN_NS + i)) for i in range(3)]
+        samples: list[TimedEvent] = [(0, imu_at(k * SCAN_NS + i)) for i in range(3)]
         yield [*samples, (0, scan(k))]
 
 

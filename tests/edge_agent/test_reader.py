@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import pytest
 
 from edge_agent.metrics import EdgeMetrics
-from edge_agent.reader import Event, EventQueue, Reader
+from edge_agent.reader import EventQueue, Reader, TimedEvent
 from splitslam.errors import InputError
 from splitslam.scan import Scan
 from tests.edge_agent.test_loop import imu_at, scan
 
 
-def events(count: int, imu_per_scan: int = 10, step_ns: int = 10_000_000) -> Iterator[Event]:
+def events(count: int, imu_per_scan: int = 10, step_ns: int = 10_000_000) -> Iterator[TimedEvent]:
     stamp_ns = 0
     for k in range(count):
         for _ in range(imu_per_scan):
@@ -22,7 +22,7 @@ def events(count: int, imu_per_scan: int = 10, step_ns: int = 10_000_000) -> Ite
         yield stamp_ns, scan(k)
 
 
-def flat(batches: list[list[Event]]) -> list[Event]:
+def flat(batches: list[list[TimedEvent]]) -> list[TimedEvent]:
     return [event for batch in batches for event in batch]
 
 
@@ -43,7 +43,7 @@ def test_in_lockstep_no_more_scans_wait_than_the_queue_holds():
     queue = EventQueue(2, may_drop=False, metrics=EdgeMetrics())
     read = []
 
-    def watched() -> Iterator[Event]:
+    def watched() -> Iterator[TimedEvent]:
         for event in events(20):
             read.append(event)
             yield event
@@ -59,8 +59,8 @@ def test_in_lockstep_no_more_scans_wait_than_the_queue_holds():
 
 def test_by_the_clock_events_come_no_sooner_than_in_the_recording():
     queue = EventQueue(50, may_drop=True, metrics=EdgeMetrics())
-    Reader(events(5), queue, realtime=True).start()
     started_s = time.monotonic()
+    Reader(events(5), queue, realtime=True).start()
     late_s = []
     for batch in queue.batches():
         late_s += [time.monotonic() - started_s - arrival_ns * 1e-9 for arrival_ns, _ in batch]
@@ -82,13 +82,13 @@ def test_by_the_clock_a_full_queue_drops_the_oldest_scan_and_counts_it_but_keeps
 
 
 def test_an_error_while_reading_comes_out_of_the_loop_after_what_was_read():
-    def broken() -> Iterator[Event]:
+    def broken() -> Iterator[TimedEvent]:
         yield from events(3)
         raise InputError("x.bag: truncated")
 
     queue = EventQueue(50, may_drop=False, metrics=EdgeMetrics())
     Reader(broken(), queue, realtime=False).start()
-    seen: list[Event] = []
+    seen: list[TimedEvent] = []
 
     def loop() -> None:
         for batch in queue.batches():
