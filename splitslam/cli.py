@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from splitslam.errors import InputError
+from splitslam.run.processes import RunFailedError
 
 _UsageError: Any = typer.BadParameter.__base__  # of the click that typer brings along or, in older ones, depends on
 _INTERRUPTED = 130
@@ -44,11 +45,63 @@ def evaluate(
     print(scoring.as_json(result)) if as_json else scoring.show(result)
 
 
+@app.command("run")
+def run(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="ROS 1 bag, ROS 2 bag or mcap.")],
+    robot: Annotated[Path, typer.Option(metavar="FILE", help="Robot file: the sensors, YAML.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.")],
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="YAML, sections `edge` and `map`.")] = None,
+    server: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="A running map service; without, an embedded one.")
+    ] = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Pace by the recording's clock.")] = False,
+    max_scans: Annotated[int | None, typer.Option(metavar="N", help="Read only so many scans.")] = None,
+    deskew: Annotated[
+        str | None, typer.Option(metavar="BACK_END", help="auto, reference, cpu, fpga, cosim, off or rotation.")
+    ] = None,
+    disable: Annotated[str, typer.Option(metavar="LIST", help="Comma-separated, of loops, gnss, imu.")] = "",
+    max_kbps: Annotated[float | None, typer.Option(metavar="N", help="Upper bound of the uplink, kbit/s.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="TRUTH.tum", help="The true trajectory, scored and drawn in the report.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print report.json.")] = False,
+) -> None:
+    """Run a recording through an edge agent and a map service: trajectory, map and report."""
+    from splitslam.run.options import RunOptions
+    from splitslam.run.orchestrate import run_recording
+    from splitslam.run.progress import Progress
+
+    options = RunOptions(
+        recording=recording,
+        robot=robot,
+        out=out,
+        config=config,
+        server=server,
+        realtime=realtime,
+        max_scans=max_scans,
+        deskew=deskew,
+        disable=tuple(part.strip() for part in disable.split(",") if part.strip()),
+        max_kbps=max_kbps,
+        truth=truth,
+    )
+    with Progress() as progress:
+        report = run_recording(options, progress)
+    _show_run(report, out, as_json)
+
+
+def _show_run(report: dict[str, Any], out: Path, as_json: bool) -> None:
+    import json
+
+    from splitslam.report.summary import show
+
+    print(json.dumps(report)) if as_json else show(report, out)
+
+
 def main() -> None:
     """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
     try:
         sys.exit(typer.main.get_command(app)(prog_name="splitslam", standalone_mode=False))
-    except InputError as error:
+    except (InputError, RunFailedError) as error:
         _fail(str(error), error.exit_code)
     except _UsageError as error:
         context = getattr(error, "ctx", None)

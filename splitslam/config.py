@@ -63,8 +63,13 @@ def load(cls: type[M], path: Path | None, env_prefix: str | None = None) -> M:
     data = {} if path is None else parse_yaml(read_text(path), str(path))
     name = "environment" if path is None else str(path)
     if env_prefix is not None:
-        data = _overlay_environment(cls, data, env_prefix + "__", os.environ)
+        data = overlay_environment(cls, data, env_prefix)
     return validate(cls, data, name)
+
+
+def overlay_environment(cls: type[pydantic.BaseModel], data: dict[str, Any], env_prefix: str) -> dict[str, Any]:
+    """`data` with the keys of `cls` that the environment sets under `env_prefix`; InputError for unknown ones."""
+    return _overlay(cls, data, env_prefix + "__", os.environ)
 
 
 def read_text(path: Path) -> str:
@@ -150,7 +155,7 @@ def _section(annotation: Any) -> type[pydantic.BaseModel] | None:
     return None
 
 
-def _overlay_environment(
+def _overlay(
     cls: type[pydantic.BaseModel], data: dict[str, Any], prefix: str, environment: Mapping[str, str]
 ) -> dict[str, Any]:
     known = {dotted.lower(): dotted for dotted in _dotted_keys(cls)}

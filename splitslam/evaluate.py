@@ -71,16 +71,21 @@ def evaluate(estimate: Trajectory, truth: Trajectory) -> Evaluation:
 
 
 def evaluate_files(estimate: Path, truth: Path) -> Evaluation:
-    """Score the TUM file `estimate` against `truth`. Raises InputError that names the file."""
+    """Score the TUM file `estimate` against the TUM file `truth`. Raises InputError that names the file."""
     try:
         return evaluate(read_tum(estimate), read_tum(truth))
     except NoOverlapError as error:
         raise InputError(f"{estimate}: {error} ({truth})") from None
 
 
+def as_dict(result: Evaluation) -> dict[str, float | int | None]:
+    """The record's names and values."""
+    return asdict(result)
+
+
 def as_json(result: Evaluation) -> str:
     """One JSON object with the record's own names."""
-    return json.dumps(asdict(result), allow_nan=False)
+    return json.dumps(as_dict(result), allow_nan=False)
 
 
 def show(result: Evaluation) -> None:

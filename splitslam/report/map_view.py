@@ -1,0 +1,101 @@
+"""The map seen from above: colour is height, strength is how many points a cell holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from numpy.typing import NDArray
+
+from splitslam.report.style import INK
+from splitslam.tum import Trajectory
+
+_CELLS = 900  # along the longer side
+_CHUNK = 1 << 20
+_MARGIN_M = 12.0
+_COLOURS = colormaps["viridis"]
+Extent = tuple[float, float, float, float]
+_END = b"end_header\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopView:
+    """A grid over x and y of `map`. rgba: (rows, columns, 4), row 0 at the lowest y. extent_m: xmin, xmax, ymin, ymax.
+
+    height_m: what the first and the last colour stand for.
+    """
+
+    rgba: NDArray[np.float32]
+    extent_m: Extent
+    height_m: tuple[float, float]
+
+
+def read_points(path: Path) -> NDArray[np.float32]:
+    """(N, 4) x y z intensity of a PLY of run.ply, mapped into memory, not read."""
+    with path.open("rb") as file:
+        header = file.read(1024)
+    offset = header.index(_END) + len(_END)
+    count = (path.stat().st_size - offset) // 16
+    if count == 0:
+        return np.empty((0, 4), np.float32)
+    return np.memmap(path, "<f4", "r", offset, (count, 4))
+
+
+def top_view(points: NDArray[np.float32], path_m: NDArray[np.float64]) -> TopView:
+    """points: (N, 4) in `map`. path_m: (M, 3); the view is what lies around it."""
+    x0, y0 = path_m[:, :2].min(axis=0) - _MARGIN_M
+    x1, y1 = path_m[:, :2].max(axis=0) + _MARGIN_M
+    sample = points[:: max(1, len(points) // 200_000)]
+    if len(sample):  # where the points are, without the stray ones far away
+        low, high = np.percentile(sample[:, :2], [2, 98], axis=0)
+        x0, y0, x1, y1 = min(x0, low[0]), min(y0, low[1]), max(x1, high[0]), max(y1, high[1])
+    cell_m = max(x1 - x0, y1 - y0) / _CELLS
+    columns, rows = int(np.ceil((x1 - x0) / cell_m)), int(np.ceil((y1 - y0) / cell_m))
+    count, height = np.zeros(rows * columns), np.zeros(rows * columns)
+    for start in range(0, len(points), _CHUNK):
+        chunk = points[start : start + _CHUNK].astype(np.float64)
+        column, row = ((chunk[:, :2] - (x0, y0)) / cell_m).astype(np.int64).T
+        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        cell = (row * columns + column)[within]
+        count += np.bincount(cell, minlength=rows * columns)
+        height += np.bincount(cell, chunk[within, 2], minlength=rows * columns)
+    extent_m = float(x0), float(x0 + columns * cell_m), float(y0), float(y0 + rows * cell_m)
+    return _coloured(count.reshape(rows, columns), height.reshape(rows, columns), extent_m)
+
+
+def _coloured(count: NDArray[np.float64], height: NDArray[np.float64], extent_m: Extent) -> TopView:
+    filled = count > 0
+    mean_m = np.divide(height, count, out=np.zeros_like(height), where=filled)
+    low, high = np.percentile(mean_m[filled], [2, 98]) if filled.any() else (0.0, 1.0)
+    high = max(high, low + 0.5)
+    rgba = _COLOURS(Normalize(low, high, clip=True)(mean_m)).astype(np.float32)
+    full = np.log1p(np.percentile(count[filled], 90)) if filled.any() else 1.0
+    rgba[..., 3] = np.where(filled, np.clip(0.25 + 0.75 * np.log1p(count) / full, 0.0, 1.0), 0.0)
+    return TopView(rgba, extent_m, (float(low), float(high)))
+
+
+def draw_map(
+    axes: Axes, view: TopView, trajectory: Trajectory, keyframes_map: NDArray[np.float64], *, height_bar: bool = True
+) -> None:
+    """The view with the path over it. keyframes_map: (K, 3) positions."""
+    axes.imshow(view.rgba, extent=view.extent_m, origin="lower", interpolation="nearest", aspect="equal")
+    xy = trajectory.positions_m[:, :2]
+    axes.plot(*xy.T, color="white", lw=3.2, solid_capstyle="round")
+    axes.plot(*xy.T, color="#d32f2f", lw=1.5, label="trajectory")
+    if len(keyframes_map):
+        axes.plot(*keyframes_map[:, :2].T, ".", color="#7f0000", ms=3.2, label=f"keyframes ({len(keyframes_map)})")
+    axes.plot(*xy[0], "o", mfc="white", mec=INK, ms=6, mew=1.4, label="start")
+    axes.plot(*xy[-1], "s", mfc=INK, mec="white", ms=6, mew=1.0, label="end")
+    axes.set(xlabel="x in map (m)", ylabel="y in map (m)")
+    axes.grid(False)
+    axes.legend(loc="upper right", facecolor="white", framealpha=0.85, frameon=True, edgecolor="none")
+    if height_bar:
+        colours = ScalarMappable(Normalize(*view.height_m), _COLOURS)
+        bar = axes.figure.colorbar(colours, ax=axes, shrink=0.6, pad=0.02, aspect=28)
+        bar.set_label("mean height of the points (m)")
+        bar.outline.set_visible(False)

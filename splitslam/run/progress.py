@@ -1,0 +1,50 @@
+"""What a run shows while it works, on stderr: stdout belongs to the result."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+
+
+class Progress:
+    """A bar of the scans mapped, on a terminal only; notes always."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._bar = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("scans"),
+            TimeElapsedColumn(),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=None)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def stage(self, text: str) -> None:
+        """What is being done now."""
+        self._bar.update(self._task, description=text)
+
+    def expected(self, scans: int | None) -> None:
+        """How many scans there will be."""
+        self._bar.update(self._task, total=scans, description="mapping")
+
+    def scan(self, read: int, mapped: int) -> None:
+        """So many scans are done."""
+        self._bar.update(self._task, completed=mapped)
+
+    def note(self, text: str) -> None:
+        """A line for the user."""
+        self._console.print(text, style="dim", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,71 @@
+"""What a finished session holds, fetched from the map service."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import grpc
+import numpy as np
+
+from splitslam.run.processes import RunFailedError
+from splitslam.tum import Trajectory
+from splitslam.wire import session_pb2 as pb
+from splitslam.wire import session_pb2_grpc as rpc
+from splitslam.wire import types_pb2 as types
+
+_CALL_S = 30.0
+_STREAM_S = 600.0
+
+
+class SessionClient:
+    """SessionService of one server, for one session. Every call raises RunFailedError when it fails."""
+
+    def __init__(self, stub: Any, session_id: str) -> None:
+        self._stub, self._id = stub, session_id
+        self.keyframes_map: list[tuple[float, float, float]] = []
+
+    def info(self) -> tuple[pb.SessionInfo, dict[str, Any]]:
+        """The session and its statistics."""
+        with _named("Get"):
+            session = self._stub.Get(pb.GetRequest(session_id=self._id), timeout=_CALL_S).session
+        return session, json.loads(session.statistics_json or "{}")
+
+    def trajectory(self) -> Trajectory:
+        """Final optimised poses T_map_lidar in order of time."""
+        with _named("Trajectory"):
+            request = pb.TrajectoryRequest(session_id=self._id)
+            poses = [pose for page in self._stub.Trajectory(request, timeout=_STREAM_S) for pose in page.poses]
+        poses.sort(key=lambda pose: pose.stamp_ns)
+        values = np.array([_numbers(pose.pose) for pose in poses]).reshape(-1, 7)
+        stamps_ns = np.array([pose.stamp_ns for pose in poses], np.int64)
+        return Trajectory(stamps_ns, values[:, :3], values[:, 3:])
+
+    def map_pieces(self) -> Iterator[bytes]:
+        """Points of one keyframe after the other; the keyframes' positions gather in `keyframes_map`."""
+        with _named("StreamMap"):
+            for piece in self._stub.StreamMap(pb.StreamMapRequest(session_id=self._id), timeout=_STREAM_S):
+                self.keyframes_map.append(_numbers(piece.pose_map_lidar)[:3])
+                yield piece.points
+
+
+@contextmanager
+def session_client(address: str, session_id: str) -> Iterator[SessionClient]:
+    """Connected for as long as the block runs."""
+    with grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]) as channel:
+        yield SessionClient(rpc.SessionServiceStub(channel), session_id)
+
+
+@contextmanager
+def _named(call: str) -> Iterator[None]:
+    try:
+        yield
+    except grpc.RpcError as error:
+        detail = error.details() if isinstance(error, grpc.Call) else str(error)
+        raise RunFailedError(f"map service: {call}: {detail}") from None
+
+
+def _numbers(pose: types.Transform) -> tuple[float, float, float, float, float, float, float]:
+    return pose.tx_m, pose.ty_m, pose.tz_m, pose.qx, pose.qy, pose.qz, pose.qw
