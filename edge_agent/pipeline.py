@@ -12,10 +12,9 @@ from edge_agent.deskew import make_deskewer
 from edge_agent.features.curvature import SmoothnessFilter
 from edge_agent.features.projection import Projector
 from edge_agent.features.select import Selector
-from edge_agent.imu.node import ImuNode
 from edge_agent.settings import PipelineSettings
 from edge_agent.stage_clock import StageClock
-from edge_agent.types import EncodedFrame
+from edge_agent.types import EncodedFrame, MotionSource
 from splitslam import codec
 from splitslam.errors import DataError
 from splitslam.features import FeatureFrame
@@ -27,7 +26,7 @@ class EdgePipeline:
     """Image node and Feature node of one sensor. Synchronous, single-threaded, no network."""
 
     def __init__(
-        self, robot: Robot, settings: PipelineSettings, beam_elevations_rad: NDArray[np.float32], imu: ImuNode
+        self, robot: Robot, settings: PipelineSettings, beam_elevations_rad: NDArray[np.float32], imu: MotionSource
     ) -> None:
         """beam_elevations_rad: (rings,), what the ring numbers mean; InputError for a deskew that is not there."""
         rings, self.columns = len(beam_elevations_rad), robot.lidar.columns

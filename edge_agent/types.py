@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from splitslam.features import Motion
 from splitslam.scan import GnssFix
 
 
@@ -58,3 +60,11 @@ class EncodedFrame:
     stage_wall_ms: dict[str, float]
     corners: int = 0
     surfs: int = 0
+
+
+class MotionSource(Protocol):
+    """What the pipeline needs of the Imu node or of its stand-in for robots without an IMU."""
+
+    def motion_over(self, start_ns: int, end_ns: int) -> Motion:
+        """The motion since the scan asked for before, and inside the scan from start to end."""
+        ...

@@ -16,8 +16,8 @@ ROTATION_STEP_RAD = 5e-6
 TRANSLATION_STEP_M = 1e-4
 _TIME_STEP_NS = 1_000
 # Up to 32 knots stay where they are: between the samples of a slow IMU the rate steps, and resampling would round the
-# corner off. A faster IMU is resampled: chords of 3.3 ms err by less than 1 mm at 30 m when a head turns at up to 131 deg/s and
-# back within a second.
+# corner off. A faster IMU is resampled: chords of 3.3 ms err by less than 1 mm at 30 m when a head turns at up to
+# 131 deg/s and back within a second.
 _SPACING_NS = 3_300_000
 MAX_KNOTS = 32
 _LIMIT = 1 << 28

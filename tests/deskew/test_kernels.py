@@ -19,7 +19,7 @@ def test_rotation_kernels_are_exp_and_log():
         w *= size / np.linalg.norm(w)
         base = se3.so3_exp(rng.normal(size=3))
         R, back = np.empty((3, 3)), np.empty(3)
-        kernels.rotation_from_vector(*w, R)
+        kernels.rotation_from_vector(w[0], w[1], w[2], R)
         np.testing.assert_allclose(R, se3.so3_exp(w), atol=1e-12)
         kernels.vector_between(base, base @ R, back)
         np.testing.assert_allclose(back, w, atol=1e-12)

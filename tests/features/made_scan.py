@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from edge_agent.imu.node import ImuNode
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
 from splitslam import se3
@@ -61,7 +60,7 @@ class KnownMotion:
     def motion_over(self, start_ns: int, end_ns: int) -> Motion:
         self.asked += 1
         offsets = np.append(np.arange(0, end_ns - start_ns, 2_000_000), end_ns - start_ns).astype(np.int64)
-        poses = [se3.exp(self.twist * t * 1e-9) for t in offsets]
+        poses = [se3.exp(self.twist * (float(t) * 1e-9)) for t in offsets]
         return Motion(
             T_prev_lidar=se3.exp(0.1 * self.twist),
             covariance=np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4]),
@@ -79,4 +78,4 @@ def make_pipeline(
     imu: KnownMotion, elevations_rad: np.ndarray = ELEVATIONS_RAD, columns: int = 1800, **settings: Any
 ) -> EdgePipeline:
     robot = cast(Robot, SimpleNamespace(lidar=SimpleNamespace(columns=columns)))
-    return EdgePipeline(robot, PipelineSettings(**settings), elevations_rad, cast(ImuNode, imu))
+    return EdgePipeline(robot, PipelineSettings(**settings), elevations_rad, imu)
