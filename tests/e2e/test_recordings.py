@@ -63,6 +63,7 @@ def test_without_deskew_yard1_is_clearly_worse(yard1, tmp_path):
     assert skewed.evaluation(truth)["ate_m"] > bars.DESKEW_OFF_WORSE_RATIO * straight.evaluation(truth)["ate_m"]
 
 
+@pytest.mark.alone
 def test_yard1_by_the_clock_drops_nothing_and_keeps_up(yard1, tmp_path):
     result = run(tmp_path / "out", yard1, "--realtime")
     sent_all_mapped_all(result)
