@@ -35,13 +35,15 @@ _log = logging.getLogger(__name__)
 def run_agent(config: AgentConfig, stop: threading.Event) -> None:
     """Runs until the source ends or `stop` is set; then the session stays open, to be resumed.
 
-    `stop` is set in any case when this returns. Raises InputError for what the user can mend; nothing half-written is left behind.
+    `stop` is set in any case when this returns. Raises InputError for what the user can mend; nothing half-written is
+    left behind.
     """
     robot = _robot(config)
     recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
     for note in recording.notes:
         print(note, file=sys.stderr)
     with ExitStack() as cleanup:
+        cleanup.callback(recording.close)
         metrics = EdgeMetrics(keep=config.output.dir is not None)
         if config.metrics.port is not None:
             port = metrics.serve(config.metrics.host, config.metrics.port)
@@ -102,7 +104,7 @@ class _Run:
             report_drops=lambda: self._uplink.report_drops(self._metrics.all_dropped()),
         )
         cleanup.callback(self._uplink.close)
-        cleanup.callback(self._reader.stop)
+        cleanup.callback(self._reader.close)
 
     def _hello(self, robot: Robot) -> pb.Hello:
         config = self._config

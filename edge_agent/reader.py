@@ -111,8 +111,15 @@ class Reader(threading.Thread):
         self.cpu_s = 0.0
 
     def stop(self) -> None:
+        """Ends the reading and the loop at once."""
         self._stopped.set()
         self._queue.close()
+
+    def close(self) -> None:
+        """The same, and waits until the recording is not used any more."""
+        self.stop()
+        if self.is_alive():
+            self.join()
 
     def run(self) -> None:
         error: BaseException | None = None

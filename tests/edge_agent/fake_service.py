@@ -120,9 +120,12 @@ class FakeService(rpc.EdgeServiceServicer):
                 yield response
 
     def _welcome(self) -> pb.Welcome:
-        return pb.Welcome(
-            epoch=self.epoch, durable_seq=self.durable_seq, applied_seq=max(self.applied, default=0), session_id="fake"
-        )
+        applied_seq = max(self.applied, default=0)
+        welcome = pb.Welcome(epoch=self.epoch, durable_seq=self.durable_seq, applied_seq=applied_seq, session_id="fake")
+        if applied_seq:
+            last = self.applied[applied_seq]
+            welcome.last_poses.add(seq=applied_seq, stamp_ns=last.stamp_ns, pose=last.pose_map_lidar)
+        return welcome
 
     def _credit(self) -> pb.StreamResponse:
         return pb.StreamResponse(credit=pb.Credit(window=self.window, durable_seq=self.durable_seq))
