@@ -12,6 +12,7 @@ from splitslam.errors import DataError
 from splitslam.scan import Scan, ScanPacket
 from tests.deskew.motions import far_points
 from tests.features.made_scan import ELEVATIONS_RAD, KnownMotion, made_scan, make_pipeline
+from tests.tolerances import CODEC_DENSE_VLP16_BITS
 
 
 def first(scan: Scan, n: int) -> Scan:
@@ -39,7 +40,7 @@ def test_dense_frames_of_a_room_take_at_most_16_bits_a_point():
     pipeline = make_pipeline(KnownMotion())
     frame = pipeline.process(ScanPacket(made_scan()))
     assert frame.dense
-    assert 8 * len(frame.payload) / (frame.corners + frame.surfs) <= 16.0
+    assert 8 * len(frame.payload) / (frame.corners + frame.surfs) <= CODEC_DENSE_VLP16_BITS
 
 
 def test_the_decoded_points_are_the_deskewed_ones_and_off_sends_them_as_seen():
