@@ -64,12 +64,12 @@ class EdgePipeline:
         smooth = self._smoothness(image)
         dense = self.dense.decide(motion.T_prev_lidar)
         corners, surfs = self._select(image, points, smooth, dense)
-        self.seq += 1
-        frame = FeatureFrame(self.seq, scan.stamp_ns, dense, replace(motion, knots=knots), corners, surfs)
+        frame = FeatureFrame(self.seq + 1, scan.stamp_ns, dense, replace(motion, knots=knots), corners, surfs)
         clock.lap("features")
 
         # to the Map node
         payload = codec.encode(frame, self.beam_elevations_rad, self.columns, self.settings.step_m)
+        self.seq += 1
         clock.lap("encode")
         clock.stop()
         return EncodedFrame(

@@ -29,7 +29,7 @@ from splitslam.motion_table import motion_table
 __all__ = ["CODEC_VERSION", "MAX_POINTS", "DecodeError", "decode", "encode", "quantise_knots"]
 
 CODEC_VERSION = 1
-MAX_POINTS = 1 << 18  # a full 128 x 2048 image; bounds what a decoder allocates
+MAX_POINTS = 1 << 17  # five times the features of a dense 128 x 2048 image; bounds what a decoder allocates
 _MAX_RINGS = 256
 _SIGNED = (False, True, True, True, True)  # rows of the residuals
 _PLANES = 2 + len(_SIGNED)
@@ -76,12 +76,15 @@ def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], column
 
     beam_elevations_rad: (rings,), what the ring numbers mean; columns: of the image. Every decoded point lies within
     step_m / 2 of the frame's along each of three orthogonal axes. Raises ValueError for a frame that breaks the
-    contract of FeatureSet (order, ring, column, finite points), which is a programmer's error.
+    contract of FeatureSet (order, ring, column, finite points), which is a programmer's error, and DataError
+    (`too_many_features`) for one with more than MAX_POINTS features.
     """
     corners, surfs = frame.corners, frame.surfs
     n, rings = len(corners) + len(surfs), len(beam_elevations_rad)
-    if n > MAX_POINTS or rings > _MAX_RINGS:
-        raise ValueError(f"{n} points on {rings} rings: at most {MAX_POINTS} on {_MAX_RINGS}")
+    if n > MAX_POINTS:
+        raise DataError("too_many_features", f"{n}, at most {MAX_POINTS}")
+    if rings > _MAX_RINGS:
+        raise ValueError(f"{rings} rings, at most {_MAX_RINGS}")
     order = np.empty(n, np.int32)
     if not kernels.merge(corners.ring, corners.column, surfs.ring, surfs.column, order):
         raise ValueError("features are not sorted by ring and column")

@@ -13,10 +13,12 @@ import zstandard
 
 from splitslam import codec
 from splitslam.codec import DecodeError
+from splitslam.errors import DataError
 from splitslam.features import FeatureFrame
 from tests.codec.frames import COLUMNS, ELEVATIONS_RAD, made_frame
 
 MAX_BYTES = 16 << 20
+FIELDS = ("points_lidar", "ring", "column", "t_offset_ns", "intensity")
 
 
 def payload() -> bytes:
@@ -111,7 +113,7 @@ def test_a_plane_that_claims_or_holds_gigabytes_is_refused_in_little_memory():
 
 
 def test_a_frame_of_the_largest_size_stays_within_the_memory_bound():
-    """262,144 points: what the decoder allocates at most."""
+    """131,072 points: what the decoder allocates at most."""
     n = codec.MAX_POINTS
     elevations = np.radians(np.linspace(-20, 20, 128)).astype(np.float32)
     cells = np.arange(n)
@@ -129,7 +131,14 @@ def test_a_frame_of_the_largest_size_stays_within_the_memory_bound():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(decoded.surfs) == n
-    assert peak < 2 * MAX_BYTES  # the frame itself and the planes it came from
+    assert peak < MAX_BYTES  # the frame itself and the planes it came from
+
+
+def test_a_frame_that_is_too_large_drops_that_scan():
+    frame = made_frame(corners=0, surfs=1)
+    surfs = type(frame.surfs)(*(np.repeat(getattr(frame.surfs, f), codec.MAX_POINTS + 1, axis=0) for f in FIELDS))
+    with pytest.raises(DataError, match="too_many_features"):
+        codec.encode(FeatureFrame(1, 0, True, frame.motion, frame.corners, surfs), ELEVATIONS_RAD, COLUMNS)
 
 
 def test_a_version_that_is_not_ours_is_named():
