@@ -126,6 +126,12 @@ class Recording:
         """Closes the file when `events` was not read to its end."""
         self._bag.close()
 
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def _scan(self, message: Any) -> Scan:
         raw = self._decoder(message)
         self.counts.native_bytes += raw.native_bytes

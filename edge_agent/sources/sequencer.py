@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter, deque
 from typing import Generic, TypeVar
 
@@ -36,17 +35,17 @@ class _Clock(Generic[T]):
         if self._held is not None:
             held_first_ns, held_last_ns, held = self._held
             if first_ns == held_first_ns:
-                self._drop("duplicate")
+                self._drop("duplicate", item)
                 return passed
             self._held = None
             if first_ns > held_first_ns:
                 self._last_ns = held_last_ns
                 passed.append(held)
             else:
-                self._drop("time_jump")
+                self._drop("time_jump", held)
         if self._last_ns is not None:
             if first_ns <= self._last_ns:
-                self._drop("duplicate" if first_ns == self._last_ns else "time_backwards")
+                self._drop("duplicate" if first_ns == self._last_ns else "time_backwards", item)
                 return passed
             if first_ns - self._last_ns > _JUMP_NS:
                 self._held = (first_ns, last_ns, item)
@@ -60,8 +59,12 @@ class _Clock(Generic[T]):
         held, self._held = self._held, None
         return [] if held is None else [held[2]]
 
-    def _drop(self, reason: str) -> None:
-        self._dropped[self._prefix + reason] += 1
+    def _drop(self, reason: str, item: T) -> None:
+        self._dropped[self._prefix + reason] += len(item) if isinstance(item, ImuSamples) else 1
+
+    def follows(self, first_ns: int) -> bool:
+        """True when a message with this stamp passes at once."""
+        return self._held is None and (self._last_ns is None or 0 < first_ns - self._last_ns <= _JUMP_NS)
 
 
 class Sequencer:
@@ -122,10 +125,18 @@ class Sequencer:
         finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
         if not finite.all():
             self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
-        for run in _increasing_runs(_take(samples, finite)):
+        samples = _take(samples, finite)
+        for run in self._runs(samples) if len(samples) else []:
             for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run):
                 out.extend(self._emit(passed))
         return out
+
+    def _runs(self, samples: ImuSamples) -> list[ImuSamples]:
+        """The chunk as it is when time simply goes on in it, else its samples one by one."""
+        step_ns = np.diff(samples.stamps_ns)
+        if self._imu_clock.follows(int(samples.stamps_ns[0])) and ((step_ns > 0) & (step_ns <= _JUMP_NS)).all():
+            return [samples]
+        return [_slice(samples, k, k + 1) for k in range(len(samples))]
 
     def _emit(self, samples: ImuSamples) -> list[ImuSamples | ScanPacket]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
@@ -168,12 +179,3 @@ def _slice(samples: ImuSamples, start: int, stop: int) -> ImuSamples:
         return samples
     part = slice(start, stop)
     return ImuSamples(samples.stamps_ns[part], samples.gyro_radps[part], samples.accel_mps2[part])
-
-
-def _increasing_runs(samples: ImuSamples) -> list[ImuSamples]:
-    """Cuts a chunk wherever its time does not go on by less than the jump limit."""
-    if len(samples) <= 1:
-        return [samples] if len(samples) else []
-    step_ns = np.diff(samples.stamps_ns)
-    cuts = [0, *(np.flatnonzero((step_ns <= 0) | (step_ns > _JUMP_NS)) + 1).tolist(), len(samples)]
-    return [_slice(samples, a, b) for a, b in itertools.pairwise(cuts)]

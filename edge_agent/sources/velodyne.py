@@ -24,6 +24,8 @@ PACKET_BYTES = 1206
 _STRONGEST = 1
 _DUAL = 0x39
 _HOUR_US = 3_600_000_000
+_MAX_SCAN_NS = 2_000_000_000
+_COARSE_NS = 5_000  # the decoder's times: microseconds of the sensor, as float32
 _SENSORS = {0x21: "hdl32", 0x22: "vlp16"}
 _MODELS = {"vlp16": vd.Model.VLP16, "hdl32": vd.Model.HDL32E}
 _PER_FIRING = {"vlp16": 16, "hdl32": 32}
@@ -59,21 +61,19 @@ class VelodyneDecoder:
         if host_ns[0] == 0:
             host_ns = host_ns + message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         packet_ns = _packet_offsets_ns(data, host_ns)
-        points = self._decode(data)
         dual = data[0][-2] == _DUAL
-        if dual:
-            points = points[(points["return_type"] & _STRONGEST) != 0]
-        xyz = np.stack([points["x"], points["y"], points["z"]], axis=1)
         if self._model in _PER_FIRING:
             table = self._table(dual)
-            packet_index, firing = np.divmod(points["column"].astype(np.int64), len(table))
-            if len(packet_index) and packet_index[-1] >= len(packets):
-                raise DataError("decode", "more firings than the packets hold")
-            t_ns = packet_ns[packet_index] + table[firing, points["ring"]]
+            points, t_ns = self._timed(data, packet_ns, table)
             end_ns = int(packet_ns[-1] + table.max())
         else:
+            points = self._decode(data)
             t_ns = np.rint(points["time"].astype(np.float64) * 1e9).astype(np.int64)
             end_ns = int(max(t_ns.max(initial=0), packet_ns[-1]))
+        if dual:
+            strongest = (points["return_type"] & _STRONGEST) != 0
+            points, t_ns = points[strongest], t_ns[strongest]
+        xyz = np.stack([points["x"], points["y"], points["z"]], axis=1)
         return RawScan(
             stamp_ns=int(host_ns[0]),
             end_ns=int(host_ns[0]) + end_ns,
@@ -83,6 +83,27 @@ class VelodyneDecoder:
             intensity=np.clip(points["intensity"], 0, 255).astype(np.uint8),
             native_bytes=PACKET_BYTES * len(data),
         )
+
+    def _timed(
+        self, data: list[bytes], packet_ns: NDArray[np.int64], table: NDArray[np.int64]
+    ) -> tuple[Any, NDArray[np.int64]]:
+        """All returns, and their exact times after the first packet's first firing, (N,) int64 ns.
+
+        The decoder numbers firings through the message but leaves out packets without any return; its own times,
+        coarser but always of the right packet, show when it did. Then the packets are decoded one by one.
+        """
+        points = self._decode(data)
+        packet, firing = np.divmod(points["column"].astype(np.int64), len(table))
+        if packet.max(initial=0) < len(data):
+            t_ns = packet_ns[packet] + table[firing, points["ring"]]
+            if np.abs(t_ns - points["time"].astype(np.float64) * 1e9).max(initial=0.0) < _COARSE_NS:
+                return points, t_ns
+        parts = [self._decode([packet]) for packet in data]
+        times = [
+            start_ns + table[part["column"] % len(table), part["ring"]]
+            for part, start_ns in zip(parts, packet_ns, strict=True)
+        ]
+        return np.concatenate(parts), np.concatenate(times)
 
     def _decode(self, data: list[bytes]) -> Any:
         vector = vd.PacketVector()
@@ -105,9 +126,12 @@ def _packet_offsets_ns(data: list[bytes], host_ns: NDArray[np.int64]) -> NDArray
     tail = np.frombuffer(b"".join(packet[1200:1204] for packet in data), dtype="<u4").astype(np.int64)
     sensor_ns = (tail - tail[0]) % _HOUR_US * 1000  # the sensor counts microseconds since the full hour
     offsets_ns = host_ns - host_ns[0]
-    if np.abs(offsets_ns - sensor_ns).max() <= 2000:
-        return offsets_ns
-    return sensor_ns
+    sensor_runs = bool((np.diff(sensor_ns) > 0).all()) and sensor_ns[-1] < _MAX_SCAN_NS
+    if sensor_runs and np.abs(offsets_ns - sensor_ns).max() > 2000:
+        return sensor_ns
+    if (np.diff(offsets_ns) < 0).any():
+        raise DataError("point_time", "packets of one scan go back in time")
+    return offsets_ns
 
 
 def _learn_table(model: str, dual: bool) -> NDArray[np.int64]:
