@@ -134,6 +134,18 @@ def test_more_frames_than_the_window_are_answered_all_the_same(service: Service,
     assert [robot.next("odometry").pose_map_lidar.tx_m for _ in range(100)] == list(range(1, 101))
 
 
+def test_a_robot_that_sends_more_than_its_window_is_not_read_any_further(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    robot.next("welcome")
+    robot.send(frame(1, payload("sleep", seconds=2.0)))
+    for seq in range(2, 101):
+        robot.send(frame(seq))
+    for _ in range(3):
+        robot.next("credit")
+    assert service.metrics()['splitslam_map_queue_frames{worker="0"}'] == 16
+    assert [robot.next("odometry").seq for _ in range(100)] == list(range(1, 101))
+
+
 def test_the_advice_of_the_configuration_follows_the_welcome(
     start_service: Callable[..., Service], connect: Connect
 ) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +16,9 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from splitslam.wire import session_pb2 as pb
+from tests.conftest import ROOT
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, running
+from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, hello, new_run, running
 
 Connect = Callable[..., Robot7]
 GONE_S = 5.0
@@ -194,6 +198,21 @@ def test_sigterm_drains_tells_robots_commits_and_exits_with_zero(
     assert connect(service).next("welcome").durable_seq == 8
 
 
+def test_a_service_that_drains_answers_what_it_has_and_takes_no_new_stream(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    robot.next("welcome")
+    robot.send(frame(1, payload("sleep", seconds=2.0)))
+    time.sleep(0.3)
+    assert service.process is not None
+    service.process.terminate()
+    robot.next("drain")
+    refused = connect(service).next("refused")
+    assert refused.reason == pb.REFUSED_REASON_OVERLOADED
+    assert refused.retry_after_ms > 0
+    assert robot.next("odometry").seq == 1
+    assert service.process.wait(10) == 0
+
+
 def test_a_drain_that_takes_too_long_is_cut_short(start_service: Callable[..., Service], connect: Connect) -> None:
     service = start_service(drain_s=1.0)
     robot = connect(service)
@@ -220,9 +239,46 @@ def test_no_process_outlives_a_front_that_was_killed(
     assert wait_until_gone(processes) == []
 
 
-def test_sessions_are_spread_over_the_workers(start_service: Callable[..., Service]) -> None:
-    from tests.map_service.harness import hello, new_run
+def test_a_frozen_worker_does_not_outlive_the_front(service: Service, connect: Connect) -> None:
+    """It cannot notice the end of its socket: the kernel must do it."""
+    connect(service).ask(frame(1))
+    (worker,) = service.workers()
+    os.kill(worker, signal.SIGSTOP)
+    service.kill()
+    assert wait_until_gone([worker]) == []
 
+
+def test_no_process_of_the_loop_pool_outlives_its_worker() -> None:
+    command = [sys.executable, "-m", "tests.map_service.loop_pool_owner"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as owner:
+        assert owner.stdout is not None
+        said = json.loads(owner.stdout.readline())
+        pool = descendants(owner.pid)
+        owner.kill()
+    assert said["accepted"] is False
+    assert said["cpu_ns"] > 0
+    assert len(pool) >= 2
+    assert wait_until_gone(pool) == []
+
+
+def test_a_session_stays_with_the_worker_that_holds_it(start_service: Callable[..., Service]) -> None:
+    service = start_service(workers=2, commit={"every_s": 60.0, "every_frames": 1000})
+    runs = [new_run() for _ in range(3)]
+    robots = [Robot7(service.address, hello(run)) for run in runs]
+    for seq in range(1, 5):
+        robots[0].ask(frame(seq))
+    robots[0].close()
+    robots[1].close()  # its worker is the idle one now
+    while service.metrics()["splitslam_map_streams"] > 1:
+        time.sleep(0.02)
+    back = Robot7(service.address, hello(runs[0]))
+    welcome = back.next("welcome")
+    assert (welcome.durable_seq, welcome.applied_seq) == (1, 4)
+    for robot in (robots[2], back):
+        robot.close()
+
+
+def test_sessions_are_spread_over_the_workers(start_service: Callable[..., Service]) -> None:
     service = start_service(workers=2)
     robots = [Robot7(service.address, hello(new_run())) for _ in range(2)]
     for robot in robots:
