@@ -139,7 +139,8 @@ def test_the_real_dual_return_recording_is_the_reference_cloud(shared_data):
     scan = scans[3]  # the one the reference was written from
     assert abs(len(scan) - len(reference)) < 0.03 * len(reference)  # it keeps second returns too
     points = np.stack([reference["x"], reference["y"], reference["z"]], axis=1)
-    distance_m, nearest = KDTree(points).query(scan.points_lidar)
+    found: tuple[np.ndarray, np.ndarray] = KDTree(points).query(scan.points_lidar)  # type: ignore[assignment]
+    distance_m, nearest = found
     # The reference leaves out the lasers' vertical offsets (up to 11 mm) and interpolates the azimuth otherwise.
     assert np.median(distance_m) < 0.008
     assert np.percentile(distance_m, 99) < 0.035
