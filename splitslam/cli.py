@@ -64,6 +64,7 @@ def run(
     truth: Annotated[
         Path | None, typer.Option(metavar="TRUTH.tum", help="The true trajectory, scored and drawn in the report.")
     ] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw the run as a PNG.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print report.json.")] = False,
 ) -> None:
     """Run a recording through an edge agent and a map service: trajectory, map and report."""
@@ -83,9 +84,27 @@ def run(
         disable=tuple(part.strip() for part in disable.split(",") if part.strip()),
         max_kbps=max_kbps,
         truth=truth,
+        picture=picture,
     )
     with Progress() as progress:
         report = run_recording(options, progress)
+    _show_run(report, out, as_json)
+
+
+@app.command("demo")
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.")] = Path("out/demo"),
+    seconds: Annotated[float | None, typer.Option(metavar="S", help="Length of the drive.")] = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the sensors' noise.")] = 1,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw the run as a PNG.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print report.json.")] = False,
+) -> None:
+    """Make a short drive in a made world, run it through both programs, score it."""
+    from splitslam.demo import demo as run_demo
+    from splitslam.run.progress import Progress
+
+    with Progress() as progress:
+        report = run_demo(out, progress, seconds=seconds, seed=seed, picture=picture)
     _show_run(report, out, as_json)
 
 
@@ -107,6 +126,8 @@ def main() -> None:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "splitslam"
         _fail(f"{command}: {error.format_message().rstrip('.')} (see `{command} --help`)", 2)
+    except OSError as error:  # a full disk, a folder that went away
+        _fail(f"{error.filename or 'splitslam'}: {error.strerror or error}", 1)
     except (KeyboardInterrupt, typer.Abort):
         _fail("interrupted", _INTERRUPTED)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,16 +10,16 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from numpy.typing import NDArray
 
-from splitslam.report.style import INK
+from splitslam.report.style import INK, ORANGE
 from splitslam.tum import Trajectory
 
 _CELLS = 900  # along the longer side
 _CHUNK = 1 << 20
-_MARGIN_M = 12.0
-_COLOURS = colormaps["viridis"]
+_MARGIN_M, _BORDER_M = 10.0, 2.0  # around the path, and around the points
+_COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))  # its last yellow is lost on white
 Extent = tuple[float, float, float, float]
 _END = b"end_header\n"
 
@@ -53,7 +54,7 @@ def top_view(points: NDArray[np.float32], path_m: NDArray[np.float64]) -> TopVie
     sample = points[:: max(1, len(points) // 200_000)]
     if len(sample):  # where the points are, without the stray ones far away
         low, high = np.percentile(sample[:, :2], [2, 98], axis=0)
-        x0, y0, x1, y1 = min(x0, low[0]), min(y0, low[1]), max(x1, high[0]), max(y1, high[1])
+        (x0, y0), (x1, y1) = np.minimum((x0, y0), low - _BORDER_M), np.maximum((x1, y1), high + _BORDER_M)
     cell_m = max(x1 - x0, y1 - y0) / _CELLS
     columns, rows = int(np.ceil((x1 - x0) / cell_m)), int(np.ceil((y1 - y0) / cell_m))
     count, height = np.zeros(rows * columns), np.zeros(rows * columns)
@@ -80,22 +81,27 @@ def _coloured(count: NDArray[np.float64], height: NDArray[np.float64], extent_m:
 
 
 def draw_map(
-    axes: Axes, view: TopView, trajectory: Trajectory, keyframes_map: NDArray[np.float64], *, height_bar: bool = True
+    axes: Axes,
+    view: TopView,
+    trajectory: Trajectory,
+    keyframes_map: NDArray[np.float64],
+    loops: Sequence[tuple[int, int]] = (),
 ) -> None:
-    """The view with the path over it. keyframes_map: (K, 3) positions."""
+    """The view with the path over it. keyframes_map: (K, 3) positions; loops: pairs of them that a closure joins."""
     axes.imshow(view.rgba, extent=view.extent_m, origin="lower", interpolation="nearest", aspect="equal")
     xy = trajectory.positions_m[:, :2]
     axes.plot(*xy.T, color="white", lw=3.2, solid_capstyle="round")
     axes.plot(*xy.T, color="#d32f2f", lw=1.5, label="trajectory")
     if len(keyframes_map):
         axes.plot(*keyframes_map[:, :2].T, ".", color="#7f0000", ms=3.2, label=f"keyframes ({len(keyframes_map)})")
+    ends = keyframes_map[np.array(loops, int).reshape(-1, 2)][..., :2]
+    for k, pair in enumerate(ends):
+        axes.plot(*pair.T, "-o", color=ORANGE, lw=1.4, ms=3.5, label=f"loop closures ({len(ends)})" if k == 0 else None)
     axes.plot(*xy[0], "o", mfc="white", mec=INK, ms=6, mew=1.4, label="start")
     axes.plot(*xy[-1], "s", mfc=INK, mec="white", ms=6, mew=1.0, label="end")
     axes.set(xlabel="x in map (m)", ylabel="y in map (m)")
     axes.grid(False)
-    axes.legend(loc="upper right", facecolor="white", framealpha=0.85, frameon=True, edgecolor="none")
-    if height_bar:
-        colours = ScalarMappable(Normalize(*view.height_m), _COLOURS)
-        bar = axes.figure.colorbar(colours, ax=axes, shrink=0.6, pad=0.02, aspect=28)
-        bar.set_label("mean height of the points (m)")
-        bar.outline.set_visible(False)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, borderaxespad=0.3, handletextpad=0.5)
+    colours = ScalarMappable(Normalize(*view.height_m), _COLOURS)
+    bar = axes.figure.colorbar(colours, ax=axes, shrink=0.6, pad=0.02, aspect=28)
+    bar.set_label("mean height of the points (m)")

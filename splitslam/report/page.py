@@ -46,15 +46,16 @@ def _map(run: Run) -> bytes:
     xmin, xmax, ymin, ymax = view.extent_m
     height_in = min(max(_MAP_WIDTH_IN * 0.86 * (ymax - ymin) / (xmax - xmin), 3.5), 10.0)
     drawn, axes = plots.figure(_MAP_WIDTH_IN, height_in)
-    draw_map(axes, view, run.trajectory, np.array(run.keyframes_map).reshape(-1, 3))
+    draw_map(axes, view, run.trajectory, np.array(run.keyframes_map).reshape(-1, 3), run.loops)
     return png(drawn, dpi=150)
 
 
 def _plots(run: Run) -> list[Any]:
-    draws = [plots.draw_height] if run.truth is None else [plots.draw_against_truth, plots.draw_errors]
-    draws += [plots.draw_corrections] if run.truth is None else []
+    first = (plots.draw_height, plots.draw_speed)
+    if run.truth is not None:
+        first = (plots.draw_against_truth, plots.draw_errors)
     drawn = []
-    for draw in (*draws, plots.draw_bytes, plots.draw_latency, plots.draw_stages):
+    for draw in (*first, plots.draw_bytes, plots.draw_latency, plots.draw_stages, plots.draw_corrections):
         made, axes = plots.figure(5.6, 3.5)
         draw(axes, run)
         drawn.append(made)

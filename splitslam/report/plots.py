@@ -10,16 +10,14 @@ from matplotlib.figure import Figure
 
 from splitslam.alignment import aligned, interpolate
 from splitslam.evaluate import inside
-from splitslam.report.style import BLUE, GREEN, INK, LIGHT_BLUE, MUTED, ORANGE, TRUTH
+from splitslam.report.style import BLUE, GREEN, INK, LIGHT_BLUE, ORANGE, TRUTH
 from splitslam.tum import Trajectory
 
 if TYPE_CHECKING:
     from splitslam.run.orchestrate import Run
 
-_STAGES = (
-    ("edge", "edge_ms", ("deskew", "features", "encode"), BLUE),
-    ("map", "map_ms", ("registration", "graph"), GREEN),
-)
+_SPEED_NS = 500_000_000
+_SIDES = (("edge", "edge_ms", BLUE), ("map", "map_ms", GREEN))
 
 
 def draw_against_truth(axes: Axes, run: Run) -> None:
@@ -30,7 +28,7 @@ def draw_against_truth(axes: Axes, run: Run) -> None:
     axes.plot(*aligned(scored, reference)[:, :2].T, color=BLUE, lw=1.3, label="trajectory")
     axes.set(xlabel="x of the truth (m)", ylabel="y of the truth (m)", title="Trajectory against truth")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(loc="best")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
 
 
 def draw_errors(axes: Axes, run: Run) -> None:
@@ -56,6 +54,18 @@ def draw_height(axes: Axes, run: Run) -> None:
     _room_for_legend(axes)
 
 
+def draw_speed(axes: Axes, run: Run) -> None:
+    """Without a truth: how fast the sensor moved, over half seconds."""
+    stamps_ns, positions_m = run.trajectory.stamps_ns, run.trajectory.positions_m
+    after = np.searchsorted(stamps_ns, stamps_ns + _SPEED_NS).clip(max=len(stamps_ns) - 1)
+    rows = np.flatnonzero(after > np.arange(len(stamps_ns)))
+    step_m = np.linalg.norm(positions_m[after[rows]] - positions_m[rows], axis=1)
+    over_s = (stamps_ns[after[rows]] - stamps_ns[rows]) * 1e-9
+    axes.plot(_seconds(stamps_ns[rows], run), step_m / over_s, color=BLUE, lw=1.1)
+    axes.set(xlabel="time (s)", ylabel="speed (m/s)", title="Speed of the sensor")
+    axes.set_ylim(bottom=0)
+
+
 def draw_corrections(axes: Axes, run: Run) -> None:
     """How far the final trajectory lies from what was answered at the time."""
     online, final = _pair(run.online, run.trajectory)
@@ -72,7 +82,7 @@ def draw_bytes(axes: Axes, run: Run) -> None:
     dense = np.array(run.edge["dense_by_scan"], bool)
     for name, rows, colour in (("sparse", ~dense, LIGHT_BLUE), ("dense", dense, BLUE)):
         if rows.any():
-            label = f"{name}: {rows.sum()} scans, mean {size_kb[rows].mean():.1f} kB"
+            label = f"{name}, mean {size_kb[rows].mean():.1f} kB"
             axes.plot(at_s[rows], size_kb[rows], ".", color=colour, ms=3.5, rasterized=True, label=label)
     axes.set(xlabel="time (s)", ylabel="payload (kB)", title="Bytes per scan")
     axes.set_ylim(bottom=0)
@@ -90,29 +100,27 @@ def draw_latency(axes: Axes, run: Run) -> None:
             axes.axhline(value, color=INK, lw=0.9, ls=style)
         axes.plot([], [], "-", color=INK, lw=0.9, label=f"p50 {p50:.1f} ms")
         axes.plot([], [], "--", color=INK, lw=0.9, label=f"p99 {p99:.1f} ms")
-        axes.set_ylim(0, max(1.25 * p99, 1.05 * float(np.percentile(trip_ms, 99.8))))
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_ylim(0.8 * trip_ms.min(), 2.0 * trip_ms.max())
+        axes.legend(loc="upper left", ncols=2)
     axes.set(xlabel="time (s)", ylabel="round trip (ms)", title="Frame to answer")
-    _room_for_legend(axes)
 
 
 def draw_stages(axes: Axes, run: Run) -> None:
     """CPU time of each stage a scan: mean as a bar, p99 as a mark."""
-    rows: list[tuple[str, dict[str, Any], str]] = []
-    for side, key, stages, colour in _STAGES:
-        known = run.report[key]
-        rows += [(f"{side}: {stage}", known[stage], colour) for stage in stages if known.get(stage)]
+    rows: list[tuple[str, dict[str, float], str]] = []
+    for side, key, colour in _SIDES:
+        stages = {stage: times for stage, times in run.report[key].items() if times and stage != "total"}
+        rows += [(f"{side}: {stage}  {times['mean']:.2f}", times, colour) for stage, times in stages.items()]
     at = np.arange(len(rows))[::-1]
-    axes.barh(at, [times["mean"] for _, times, _ in rows], height=0.55, color=[colour for *_, colour in rows])
-    axes.plot([times["p99"] for _, times, _ in rows], at, "|", color=INK, ms=13, mew=1.6, label="p99")
-    for y, (_, times, _) in zip(at, rows, strict=True):
-        axes.annotate(
-            f"{times['mean']:.2f}", (times["mean"], y), (3, -12), textcoords="offset points", fontsize=7, color=MUTED
-        )
+    axes.barh(at, [times["mean"] for _, times, _ in rows], height=0.6, color=[colour for *_, colour in rows])
+    axes.plot([times["p99"] for _, times, _ in rows], at, "|", color=INK, ms=11, mew=1.6)
     axes.set_yticks(at, [name for name, *_ in rows])
-    axes.set(xlabel="CPU time per scan (ms)", title="Where the time goes")
+    axes.tick_params("y", length=0, labelcolor=INK)
+    axes.set(xlabel="CPU time per scan (ms): bar mean, mark p99", title="Where the time goes")
     axes.grid(axis="y", visible=False)
     axes.set_xlim(left=0)
-    axes.legend(loc="lower right")
 
 
 def figure(width_in: float, height_in: float, columns: int = 1) -> tuple[Figure, Any]:
@@ -138,4 +146,4 @@ def _room_for_legend(axes: Axes) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.18 * (high - low))
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper left", ncols=3)
+        axes.legend(loc="upper left", ncols=2)

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 INK = "#1f2933"
@@ -68,8 +67,3 @@ def png(figure: Figure, dpi: int = 200) -> bytes:
 def image(data: bytes, text: str) -> str:
     """An <img> with the PNG inside; `text` is read out to those who do not see it."""
     return f'<img alt="{text}" src="data:image/png;base64,{base64.b64encode(data).decode("ascii")}">'
-
-
-def legend_below(axes: Axes, columns: int) -> None:
-    """A legend between the plot and nothing else: it never covers data."""
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=columns, borderaxespad=0.0)

@@ -17,7 +17,10 @@ _NEEDED = {"edge": "rosbags", "server": "sqlalchemy", "viz": "matplotlib", "sim"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """One run. server None: an embedded map service. deskew None: as configured. truth: scored in the report."""
+    """One run. server None: an embedded map service. deskew None: as configured. truth: scored in the report.
+
+    picture: where a PNG of the run goes as well.
+    """
 
     recording: Path
     robot: Path
@@ -30,6 +33,7 @@ class RunOptions:
     disable: tuple[str, ...] = ()
     max_kbps: float | None = None
     truth: Path | None = None
+    picture: Path | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError: one line that names the option and what was expected."""
@@ -37,6 +41,7 @@ class RunOptions:
             raise InputError(
                 f"{self.recording}: expected a recording (ROS 1 bag, ROS 2 bag or mcap), found nothing there"
             )
+        check_picture(self.picture)
         if self.deskew is not None:
             _one_of("--deskew", self.deskew, DESKEW)
         for part in self.disable:
@@ -45,6 +50,12 @@ class RunOptions:
             raise InputError(f"--max-kbps: expected more than 0, found {self.max_kbps:g}")
         if self.max_scans is not None and self.max_scans < 1:
             raise InputError(f"--max-scans: expected at least 1, found {self.max_scans}")
+
+
+def check_picture(path: Path | None) -> None:
+    """Raises InputError when no file can be there."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        raise InputError(f"--picture {path}: expected a file in a folder that exists")
 
 
 def _one_of(option: str, value: str, known: tuple[str, ...]) -> None:

@@ -29,7 +29,7 @@ class Run:
     """A finished run: report.json, and what only report.html shows.
 
     edge: the agent's series by scan. trajectory, online, truth: T_map_lidar (truth in its own frame, or None).
-    keyframes_map: (K, 3) positions, m. ply: the map.
+    keyframes_map: (K, 3) positions, m. loops: which of them closures join. ply: the map.
     """
 
     title: str
@@ -39,6 +39,7 @@ class Run:
     online: Trajectory
     truth: Trajectory | None
     keyframes_map: list[tuple[float, float, float]]
+    loops: list[tuple[int, int]]
     ply: Path
 
 
@@ -68,6 +69,10 @@ def run_recording(options: RunOptions, progress: Progress, programs: Programs = 
             run = _fetch(options, stage, agent_config.server, truth, progress)
         progress.stage("writing the report")
         _write_reports(run, stage.results)
+        if options.picture is not None:
+            from splitslam.report.picture import write_picture
+
+            write_picture(run, options.picture)
         stage.publish()
     return run.report
 
@@ -123,6 +128,7 @@ def _fetch(options: RunOptions, stage: Staging, server: str, truth: Trajectory |
         online=online,
         truth=truth,
         keyframes_map=session.keyframes_map,
+        loops=statistics.get("loop_keyframes", []),
         ply=stage.results / "map.ply",
     )
 

@@ -37,6 +37,10 @@ class Progress:
         """What is being done now."""
         self._bar.update(self._task, description=text)
 
+    def made(self, done: int, total: int) -> None:
+        """So many scans of a made drive are there."""
+        self._bar.update(self._task, completed=done, total=total)
+
     def expected(self, scans: int | None) -> None:
         """How many scans there will be."""
         self._bar.update(self._task, total=scans, description="mapping")
