@@ -154,6 +154,32 @@ def test_without_time_it_comes_from_the_azimuth_and_this_is_said(tmp_path, row_b
     assert np.abs(scan.t_offset_ns - fraction[order] * PERIOD_NS).max() <= 1000
 
 
+def test_a_ring_that_fires_a_little_behind_the_first_one_is_not_put_at_the_end_of_the_turn(tmp_path):
+    xyz, ring, fraction = made.turn()
+    late = -2 * np.pi * (ring == 1) * -0.004  # ring 1 looks 1.4 deg back
+    c, s = np.cos(late), np.sin(late)
+    xyz = np.stack([c * xyz[:, 0] - s * xyz[:, 1], s * xyz[:, 0] + c * xyz[:, 1], xyz[:, 2]], axis=1)
+    points = made.structured(xyz, [*made.PLAIN, ("ring", "<u1", 12)], 16, ring=ring)
+    (scan,) = scans_of(made.write_bag(tmp_path, made.ROS1, [made.cloud(points, made.T0_NS)]))
+    assert np.abs(scan.t_offset_ns - fraction * PERIOD_NS).max() < 0.005 * PERIOD_NS
+
+
+def test_ring_numbers_that_cannot_be_are_left_out_and_counted(tmp_path):
+    points, _ = velodyne()
+    bad = points.copy()
+    bad["ring"][:2] = 3
+    messages = [made.cloud(points, made.T0_NS), made.cloud(bad, made.T0_NS + PERIOD_NS)]
+    recording = open_recording(
+        made.write_bag(tmp_path, made.ROS1, messages),
+        robot("model: generic, rings: 3, beam_elevations_deg: [-10, 0, 10]"),
+    )
+    first, second = (event for _, event in recording.events())
+    assert isinstance(first, Scan)
+    assert isinstance(second, Scan)
+    assert (len(first), len(second)) == (300, 298)
+    assert recording.counts.left_out == {"unknown_ring": 2}
+
+
 def test_nan_and_zero_points_are_removed_and_counted(tmp_path):
     points, _ = velodyne()
     points["x"][3], points["y"][4], points["z"][5] = np.nan, np.inf, np.nan
