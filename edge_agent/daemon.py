@@ -42,6 +42,8 @@ def run_agent(config: AgentConfig, stop: threading.Event) -> None:
     recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
     for note in recording.notes:
         print(note, file=sys.stderr)
+    if config.uplink.max_kbps is not None:
+        _log.warning("uplink.max_kbps: this version has no rate control; frames go out as they are")
     with ExitStack() as cleanup:
         cleanup.callback(recording.close)
         metrics = EdgeMetrics(keep=config.output.dir is not None)

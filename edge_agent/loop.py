@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.dense import DensePolicy
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.reader import TimedEvent
 from edge_agent.sources import Event
@@ -30,6 +31,7 @@ class Pipeline(Protocol):
     """edge_agent.pipeline.EdgePipeline."""
 
     seq: int
+    dense: DensePolicy
 
     def process(self, packet: ScanPacket) -> EncodedFrame: ...
 
@@ -60,6 +62,7 @@ class Uplink(Protocol):
     def anchored(self) -> bool: ...
     def send(self, frame: pb.Frame) -> None: ...
     def take_answers(self) -> list[Answer]: ...
+    def take_want_dense(self) -> bool: ...
     def wait_answered(self, seq: int) -> bool: ...
 
 
@@ -148,6 +151,8 @@ class AgentLoop:
             self._apply_answers(seen_seq)
         else:
             self._apply_answers(None)
+            # not in lockstep: when a wish arrives depends on the clock
+            parts.pipeline.dense.wanted |= parts.uplink.take_want_dense()
         parts.sink.on_scan_begun()
         try:
             frame = parts.pipeline.process(packet)

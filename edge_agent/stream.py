@@ -40,7 +40,6 @@ class Stream:
         on_response: Callable[[Stream, pb.StreamResponse], None],
         on_end: Callable[[Stream, str], None],
     ) -> None:
-        self.hello = hello
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
         self._channel = grpc.insecure_channel(server, options=_OPTIONS)
         metadata = ((ROUTE_KEY, route_key(hello)),)

@@ -10,37 +10,19 @@ import logging
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from edge_agent.backoff import Backoff, welcome_timeout_s
 from edge_agent.config import UplinkConfig, split_server
+from edge_agent.dialogue import Dialogue, StreamState
 from edge_agent.metrics import EdgeMetrics
-from edge_agent.outbox import Outbox
 from edge_agent.stream import Stream
 from edge_agent.tcp_meter import TcpBytes, TcpMeter
-from edge_agent.wire import Answer, answer
+from edge_agent.wire import Answer
 from splitslam.errors import InputError
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
 _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: the next failure starts over
-_REPORT_EVERY_S = 1.0
-
-
-@dataclass(slots=True)
-class _Watch:
-    """The present stream as the supervisor sees it; times are time.monotonic()."""
-
-    opened_s: float
-    last_message_s: float
-    hello_sent: bool = False
-    welcomed: bool = False
-    bye_sent: bool = False
-    waiting_since_s: float | None = None  # for an answer
-    answered: bool = False
-    ended: str | None = None
-    retry_after_s: float | None = None
-    other_replica: bool = False
 
 
 class Uplink:
@@ -51,22 +33,13 @@ class Uplink:
     """
 
     def __init__(self, server: str, hello: pb.Hello, settings: UplinkConfig, metrics: EdgeMetrics) -> None:
-        self._server, self._hello, self._settings, self._metrics = server, hello, settings, metrics
-        self._outbox = Outbox(settings.buffer_bytes, settings.window)
+        self._server, self._settings, self._metrics = server, settings, metrics
+        self._dialogue = Dialogue(hello, settings, metrics)
         self._meter = TcpMeter(*split_server(server))
-        self._changed = threading.Condition()
+        self._changed = threading.Condition()  # guards the dialogue and all below
         self._stream: Stream | None = None
-        self._watch = _Watch(0.0, 0.0)
-        self._answers: list[Answer] = []
         self._failure: Exception | None = None
         self._closing = False
-        self._bye: pb.Bye | None = None
-        self._dropped: dict[str, int] = {}
-        self._reported: dict[str, int] = {}
-        self._report_s = float("-inf")
-        self.first_welcome: pb.Welcome | None = None
-        self.finished: pb.Finished | None = None
-        self.advice = pb.Advice()
         self._thread = threading.Thread(target=self._supervise, name="uplink", daemon=True)
         metrics.tcp_bytes_from(lambda: self.tcp_bytes().sent, lambda: self.tcp_bytes().received)
 
@@ -77,54 +50,58 @@ class Uplink:
         self._thread.start()
 
     def wait_welcome(self) -> pb.Welcome | None:
-        """Waits for the first Welcome; None when closed meanwhile."""
+        """Waits for the first Welcome; None when stopped meanwhile."""
         with self._changed:
-            self._changed.wait_for(lambda: self.first_welcome or self._over)
+            self._changed.wait_for(lambda: self._dialogue.first_welcome or self._over)
             self._raise_failure()
-            return self.first_welcome
+            return self._dialogue.first_welcome
 
     def send(self, frame: pb.Frame) -> None:
         """Queues a frame (seq above all before). A full buffer drops the oldest that is not dense, and counts it."""
         with self._changed:
             self._raise_failure()
-            for lost in self._outbox.add(frame, time.monotonic()):
-                self._metrics.drop("buffer_full_after_answer" if lost.answered else "buffer_full")
-            self._gauge()
+            self._dialogue.keep(frame, time.monotonic())
             self._changed.notify_all()
 
     def take_answers(self) -> list[Answer]:
         """Answers since the last call, in the order they came; each frame's first answer only."""
         with self._changed:
             self._raise_failure()
-            answers, self._answers = self._answers, []
+            answers, self._dialogue.answers = self._dialogue.answers, []
             return answers
 
+    def take_want_dense(self) -> bool:
+        """Whether the service has asked for a dense frame since the last call."""
+        with self._changed:
+            wanted, self._dialogue.want_dense = self._dialogue.want_dense, False
+            return wanted
+
     def wait_answered(self, seq: int) -> bool:
-        """Waits until no frame up to `seq` lacks its answer; False when closed meanwhile."""
+        """Waits until no frame up to `seq` lacks its answer; False when stopped meanwhile."""
         with self._changed:
             self._changed.wait_for(lambda: self._settled(seq) or self._over)
             self._raise_failure()
             return self._settled(seq)
 
     def _settled(self, seq: int) -> bool:
-        first = self._outbox.first_unanswered()
+        first = self._dialogue.outbox.first_unanswered()
         return first is None or first > seq
 
     def report_drops(self, dropped: Mapping[str, int]) -> None:
         """Tells the service what the robot has lost; at most once a second, the last before Bye."""
         with self._changed:
-            self._dropped = dict(dropped)
-            if self._report_due():
+            self._dialogue.set_dropped(dropped)
+            if self._dialogue.report_due(time.monotonic()):
                 self._changed.notify_all()
 
     def finish(self, last_seq: int) -> pb.Finished | None:
-        """Says Bye once every frame is answered and waits for Finished; None when closed meanwhile."""
+        """Says Bye once every frame is answered and waits for Finished; None when stopped meanwhile."""
         with self._changed:
-            self._bye = pb.Bye(last_seq=last_seq)
+            self._dialogue.bye = pb.Bye(last_seq=last_seq)
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self.finished or self._over)
+            self._changed.wait_for(lambda: self._dialogue.finished or self._over)
             self._raise_failure()
-            return self.finished
+            return self._dialogue.finished
 
     def stop(self) -> None:
         """Whoever waits goes on at once, and the stream ends."""
@@ -143,7 +120,8 @@ class Uplink:
     def anchored(self) -> bool:
         """The service follows the robot now: connected, nothing left to replay."""
         with self._changed:
-            return self._stream is not None and self._watch.welcomed and self._outbox.unsent <= 1
+            dialogue = self._dialogue
+            return self._stream is not None and dialogue.stream.welcomed and dialogue.outbox.unsent <= 1
 
     def tcp_bytes(self) -> TcpBytes:
         """TCP payload so far, all connections."""
@@ -173,57 +151,43 @@ class Uplink:
         failures = 0
         down_since_s = time.monotonic()
         while True:
-            watch = self._one_stream(welcome_timeout_s(s.welcome_timeout_s, s.welcome_timeout_max_s, failures))
+            state = self._one_stream(welcome_timeout_s(s.welcome_timeout_s, s.welcome_timeout_max_s, failures))
             now_s = time.monotonic()
-            failures = 0 if watch.welcomed else failures + 1
-            if watch.answered or (watch.welcomed and now_s - watch.opened_s >= _STEADY_S):
+            failures = 0 if state.welcomed else failures + 1
+            if state.answered or (state.welcomed and now_s - state.opened_s >= _STEADY_S):
                 backoff.reset()
                 down_since_s = now_s
             with self._changed:
-                if self._over or self.finished is not None:
+                if self._over or self._dialogue.finished is not None:
                     return
-                limit_s = s.connect_timeout_s if self.first_welcome is None else s.reconnect_timeout_s
+                limit_s = s.connect_timeout_s if self._dialogue.first_welcome is None else s.reconnect_timeout_s
                 if limit_s is not None and now_s - down_since_s >= limit_s:
-                    self._fail(f"expected a map service there, none answered within {limit_s:g} s ({watch.ended})")
+                    self._fail(f"expected a map service there, none answered within {limit_s:g} s ({state.ended})")
                     return
-                self._metrics.reconnects.labels(_cause(watch)).inc()
-                _log.info("stream to %s broke: %s", self._server, watch.ended)
-                delay_s = max(backoff.next_s(), watch.retry_after_s or 0.0)
-                if watch.other_replica or not watch.welcomed:
-                    self._hello.attempt += 1
+                self._metrics.reconnects.labels(state.cause).inc()
+                _log.info("stream to %s broke: %s", self._server, state.ended)
+                if state.other_replica or not state.welcomed:
+                    self._dialogue.hello.attempt += 1
+                delay_s = max(backoff.next_s(), state.retry_after_s)
                 self._changed.wait_for(lambda: self._closing, timeout=delay_s)
 
-    def _one_stream(self, welcome_within_s: float) -> _Watch:
+    def _one_stream(self, welcome_within_s: float) -> StreamState:
         """Runs one stream to its end."""
-        now_s = time.monotonic()
-        watch = _Watch(now_s, now_s)
         with self._changed:
-            self._watch = watch
-            hello = pb.Hello()
-            hello.CopyFrom(self._hello)
+            state = self._dialogue.begin(time.monotonic())
             callbacks = (self._next_request, self._on_response, self._on_end)
-            stream = self._stream = Stream(self._server, hello, *callbacks)
-            while watch.ended is None and not self._over and self.finished is None:
-                deadline_s, reason = self._deadline(watch, welcome_within_s)
+            stream = self._stream = Stream(self._server, self._dialogue.hello, *callbacks)
+            while state.ended is None and not self._over and self._dialogue.finished is None:
+                deadline_s, reason = self._dialogue.deadline(welcome_within_s)
                 if (left_s := deadline_s - time.monotonic()) <= 0:
-                    watch.ended, watch.other_replica = reason, True
+                    state.ended, state.other_replica = reason, True
                     break
                 self._changed.wait(left_s)
             self._stream = None  # from here on its callbacks find themselves outdated
             self._changed.notify_all()
         self._meter.discover()
         stream.close()
-        return watch
-
-    def _deadline(self, watch: _Watch, welcome_within_s: float) -> tuple[float, str]:
-        s = self._settings
-        if not watch.welcomed:
-            return watch.opened_s + welcome_within_s, f"no Welcome within {welcome_within_s:g} s"
-        deadline = (watch.last_message_s + s.watchdog_s, f"silent for {s.watchdog_s:g} s")
-        if watch.waiting_since_s is not None:
-            late = (watch.waiting_since_s + s.answer_timeout_s, f"a frame unanswered for {s.answer_timeout_s:g} s")
-            deadline = min(deadline, late)
-        return deadline
+        return state
 
     def _fail(self, text: str) -> None:
         self._failure = InputError(f"server {self._server}: {text}")
@@ -233,118 +197,26 @@ class Uplink:
 
     def _next_request(self, stream: Stream) -> pb.StreamRequest | None:
         with self._changed:
-            request = self._pending(stream)
-            while request is None and self._stream is stream:
+            while self._stream is stream:
+                if (request := self._dialogue.next_request(time.monotonic())) is not None:
+                    self._changed.notify_all()  # the supervisor may have a nearer deadline now
+                    return request
                 self._changed.wait()
-                request = self._pending(stream)
-            if self._stream is not stream or request is None:
-                return None
-            self._metrics.sent(str(request.WhichOneof("message")), request.ByteSize())
-            return request
-
-    def _pending(self, stream: Stream) -> pb.StreamRequest | None:
-        """What goes next: Hello, then reports and frames, Bye after the last answer."""
-        if self._stream is not stream:
             return None
-        if not self._watch.hello_sent:
-            self._watch.hello_sent = True
-            return pb.StreamRequest(hello=stream.hello)
-        if not self._watch.welcomed or self._watch.bye_sent:
-            return None
-        if self._report_due():
-            self._report_s, self._reported = time.monotonic(), self._dropped
-            return pb.StreamRequest(report=self._report())
-        if (frame := self._outbox.next_frame()) is not None:
-            if self._watch.waiting_since_s is None:
-                self._watch.waiting_since_s = time.monotonic()
-                self._changed.notify_all()  # the supervisor has a nearer deadline now
-            return pb.StreamRequest(frame=frame)
-        if self._bye is not None and self._outbox.first_unanswered() is None:
-            self._watch.bye_sent = True
-            return pb.StreamRequest(bye=self._bye)
-        return None
-
-    def _report_due(self) -> bool:
-        if self._dropped == self._reported:
-            return False
-        return self._bye is not None or time.monotonic() - self._report_s >= _REPORT_EVERY_S
-
-    def _report(self) -> pb.EdgeReport:
-        depth, size = len(self._outbox), self._outbox.bytes
-        return pb.EdgeReport(dropped_by_reason=self._dropped, spool_frames=depth, spool_bytes=size)
 
     def _on_response(self, stream: Stream, response: pb.StreamResponse) -> None:
-        kind = response.WhichOneof("message")
-        if kind == "welcome":
+        if response.HasField("welcome"):
             self._meter.discover()  # before the lock: it may ask the resolver
         with self._changed:
             if self._stream is not stream:
                 return
-            self._watch.last_message_s = time.monotonic()
-            if kind == "welcome":
-                self._on_welcome(response.welcome)
-            elif kind == "odometry":
-                self._on_odometry(response.odometry)
-            elif kind == "credit":
-                self._outbox.window = response.credit.window
-                self._outbox.mark_durable(response.credit.durable_seq)
-            elif kind == "advice":
-                self.advice = response.advice
-            elif kind == "drain":
-                self._end(f"drain: {pb.DrainReason.Name(response.drain.reason)}", response.drain.retry_after_ms)
-            elif kind == "refused":
-                self._on_refused(response.refused)
-            elif kind == "finished":
-                self.finished = response.finished
-            self._gauge()
+            self._dialogue.receive(response, time.monotonic())
+            if self._dialogue.failure is not None:
+                self._fail(self._dialogue.failure)
             self._changed.notify_all()
-
-    def _on_welcome(self, welcome: pb.Welcome) -> None:
-        if not self._outbox.rewind(welcome.applied_seq, welcome.durable_seq):
-            released, durable = self._outbox.released_seq, welcome.durable_seq
-            self._fail(f"the session was stored up to scan {released} and now ends at {durable}; expected nothing lost")
-            return
-        self._watch.welcomed = True
-        self._reported, self._report_s = {}, float("-inf")  # counts since the run began: saying them again does no harm
-        self._metrics.connects.inc()
-        self.first_welcome = self.first_welcome or welcome
-
-    def _on_odometry(self, message: pb.Odometry) -> None:
-        watch, now_s = self._watch, time.monotonic()
-        self._outbox.mark_durable(message.durable_seq)
-        held = self._outbox.answer(message.seq)
-        watch.waiting_since_s = now_s if self._outbox.in_flight else None
-        if held is None:
-            known = message.duplicate or self._outbox.was_answered(message.seq)
-            self._metrics.ignored.labels("duplicate" if known else "unexpected").inc()
-            return
-        watch.answered = True
-        self._answers.append(answer(message, now_s - held.queued_s))
-
-    def _on_refused(self, refused: pb.Refused) -> None:
-        name = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
-        if refused.reason == pb.REFUSED_REASON_FINISHED and self._bye is not None:
-            self.finished = pb.Finished()  # the answer to our Bye was lost with the stream before
-        elif refused.retry_after_ms == 0:
-            self._fail(f"the map service refused the session ({name}): {refused.detail}")
-        else:
-            self._end(f"refused ({name}): {refused.detail}", refused.retry_after_ms)
-
-    def _end(self, reason: str, retry_after_ms: int) -> None:
-        self._watch.ended = reason
-        self._watch.retry_after_s = retry_after_ms * 1e-3
-        self._watch.other_replica = True
 
     def _on_end(self, stream: Stream, reason: str) -> None:
         with self._changed:
-            if self._stream is stream and self._watch.ended is None:
-                self._watch.ended = reason
+            if self._stream is stream and self._dialogue.stream.ended is None:
+                self._dialogue.stream.ended = reason
                 self._changed.notify_all()
-
-    def _gauge(self) -> None:
-        self._metrics.buffer_frames.set(len(self._outbox))
-        self._metrics.buffer_bytes.set(self._outbox.bytes)
-
-
-def _cause(watch: _Watch) -> str:
-    return (watch.ended or "closed").split(":")[0].split(" (")[0][:40]

@@ -7,9 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from edge_agent.dense import DensePolicy
 from edge_agent.loop import UNANCHORED, AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.reader import TimedEvent
+from edge_agent.settings import DenseSettings
 from edge_agent.sources import Event
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
@@ -62,6 +64,7 @@ class FakeImu:
 class FakePipeline:
     def __init__(self, log: Log, bad_stamps_ns: set[int]) -> None:
         self.log, self.bad, self.seq = log, bad_stamps_ns, 0
+        self.dense = DensePolicy(DenseSettings())
 
     def process(self, packet: ScanPacket) -> EncodedFrame:
         if packet.scan.stamp_ns in self.bad:
@@ -85,6 +88,9 @@ class FakeUplink:
     def take_answers(self) -> list[Answer]:
         taken, self.ready = self.ready[::-1], []  # any order
         return taken
+
+    def take_want_dense(self) -> bool:
+        return True
 
     def wait_answered(self, seq: int) -> bool:
         return seq < self.stop_at
@@ -130,6 +136,13 @@ def test_by_the_clock_an_answer_is_applied_as_soon_as_it_is_there():
     p, log = parts()
     AgentLoop(p, lockstep=False).run(batches(2))
     assert log == ["imu 3", "scan 1", "answer 1", "imu 3", "scan 2"]
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_wish_for_a_dense_frame_is_met_only_by_the_clock(lockstep: bool):
+    p, _ = parts()
+    AgentLoop(p, lockstep).run(batches(1))
+    assert p.pipeline.dense.wanted is not lockstep
 
 
 def test_a_bad_scan_is_dropped_and_counted_and_uses_no_seq():

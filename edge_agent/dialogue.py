@@ -1,0 +1,185 @@
+"""The robot's side of the session protocol as plain state: what to say next, and what an answer means.
+
+No thread, no socket, no clock of its own: uplink.py calls it under its lock. docs/protocol.md is the contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from edge_agent.config import UplinkConfig
+from edge_agent.metrics import EdgeMetrics
+from edge_agent.outbox import Outbox
+from edge_agent.wire import Answer, answer
+from splitslam.wire import session_pb2 as pb
+
+_REPORT_EVERY_S = 1.0
+
+
+@dataclass(slots=True)
+class StreamState:
+    """How one stream goes; times on the caller's clock. `ended`: why it is over."""
+
+    opened_s: float
+    last_message_s: float
+    hello_sent: bool = False
+    welcomed: bool = False
+    bye_sent: bool = False
+    waiting_since_s: float | None = None  # for an answer
+    answered: bool = False
+    ended: str | None = None
+    retry_after_s: float = 0.0
+    other_replica: bool = False
+
+    @property
+    def cause(self) -> str:
+        """A short label for what ended it."""
+        return (self.ended or "closed").split(":")[0].split(" (")[0][:40]
+
+
+class Dialogue:
+    """One session over any number of streams. `failure`: why there will be no further one."""
+
+    def __init__(self, hello: pb.Hello, settings: UplinkConfig, metrics: EdgeMetrics) -> None:
+        self.hello = hello
+        self.outbox = Outbox(settings.buffer_bytes, settings.window)
+        self.stream = StreamState(0.0, 0.0)
+        self.answers: list[Answer] = []
+        self.first_welcome: pb.Welcome | None = None
+        self.finished: pb.Finished | None = None
+        self.failure: str | None = None
+        self.bye: pb.Bye | None = None
+        self.want_dense = False
+        self._settings, self._metrics = settings, metrics
+        self._dropped: dict[str, int] = {}
+        self._reported: dict[str, int] = {}
+        self._report_s = float("-inf")
+
+    # --- what to say ------------------------------------------------------------------------------------------
+
+    def begin(self, now_s: float) -> StreamState:
+        """A new stream opens."""
+        self.stream = StreamState(now_s, now_s)
+        return self.stream
+
+    def keep(self, frame: pb.Frame, now_s: float) -> None:
+        """Takes a frame into the outbox; what has to go for it is counted."""
+        for lost in self.outbox.add(frame, now_s):
+            self._metrics.drop("buffer_full_after_answer" if lost.answered else "buffer_full")
+        self._gauge()
+
+    def set_dropped(self, dropped: Mapping[str, int]) -> None:
+        """What the robot has lost since the run began."""
+        self._dropped = dict(dropped)
+
+    def next_request(self, now_s: float) -> pb.StreamRequest | None:
+        """Hello, then reports and frames, Bye after the last answer; None while there is nothing to say."""
+        request = self._next(now_s)
+        if request is not None:
+            self._metrics.sent(str(request.WhichOneof("message")), request.ByteSize())
+        return request
+
+    def _next(self, now_s: float) -> pb.StreamRequest | None:
+        stream = self.stream
+        if not stream.hello_sent:
+            stream.hello_sent = True
+            return pb.StreamRequest(hello=self.hello)
+        if not stream.welcomed or stream.bye_sent:
+            return None
+        if self.report_due(now_s):
+            self._report_s, self._reported = now_s, self._dropped
+            return pb.StreamRequest(report=self._report())
+        if (frame := self.outbox.next_frame()) is not None:
+            if stream.waiting_since_s is None:
+                stream.waiting_since_s = now_s
+            return pb.StreamRequest(frame=frame)
+        if self.bye is not None and self.outbox.first_unanswered() is None:
+            stream.bye_sent = True
+            return pb.StreamRequest(bye=self.bye)
+        return None
+
+    def report_due(self, now_s: float) -> bool:
+        """There is a loss to report; at most once a second, except before Bye."""
+        if self._dropped == self._reported:
+            return False
+        return self.bye is not None or now_s - self._report_s >= _REPORT_EVERY_S
+
+    def _report(self) -> pb.EdgeReport:
+        depth, size = len(self.outbox), self.outbox.bytes
+        return pb.EdgeReport(dropped_by_reason=self._dropped, spool_frames=depth, spool_bytes=size)
+
+    def deadline(self, welcome_within_s: float) -> tuple[float, str]:
+        """Until when the stream may go on as it is, and what it then is guilty of."""
+        s, stream = self._settings, self.stream
+        if not stream.welcomed:
+            return stream.opened_s + welcome_within_s, f"no Welcome within {welcome_within_s:g} s"
+        deadline = (stream.last_message_s + s.watchdog_s, f"silent for {s.watchdog_s:g} s")
+        if stream.waiting_since_s is None:
+            return deadline
+        late = (stream.waiting_since_s + s.answer_timeout_s, f"a frame unanswered for {s.answer_timeout_s:g} s")
+        return min(deadline, late)
+
+    # --- what an answer means ---------------------------------------------------------------------------------
+
+    def receive(self, response: pb.StreamResponse, now_s: float) -> None:
+        """Takes one message of the service."""
+        self.stream.last_message_s = now_s
+        kind = response.WhichOneof("message")
+        if kind == "welcome":
+            self._on_welcome(response.welcome)
+        elif kind == "odometry":
+            self._on_odometry(response.odometry, now_s)
+        elif kind == "credit":
+            self.outbox.window = response.credit.window
+            self.outbox.mark_durable(response.credit.durable_seq)
+        elif kind == "advice":
+            self.want_dense |= response.advice.want_dense
+        elif kind == "drain":
+            self._end(f"drain: {pb.DrainReason.Name(response.drain.reason)}", response.drain.retry_after_ms)
+        elif kind == "refused":
+            self._on_refused(response.refused)
+        elif kind == "finished":
+            self.finished = response.finished
+        self._gauge()
+
+    def _on_welcome(self, welcome: pb.Welcome) -> None:
+        if not self.outbox.rewind(welcome.applied_seq, welcome.durable_seq):
+            released, durable = self.outbox.released_seq, welcome.durable_seq
+            self.failure = (
+                f"the session was stored up to scan {released} and now ends at {durable}; expected nothing lost"
+            )
+            return
+        self.stream.welcomed = True
+        self._reported, self._report_s = {}, float("-inf")  # counts since the run began: saying them again is no harm
+        self._metrics.connects.inc()
+        self.first_welcome = self.first_welcome or welcome
+
+    def _on_odometry(self, message: pb.Odometry, now_s: float) -> None:
+        self.outbox.mark_durable(message.durable_seq)
+        held = self.outbox.answer(message.seq)
+        self.stream.waiting_since_s = now_s if self.outbox.in_flight else None
+        if held is None:
+            known = message.duplicate or self.outbox.was_answered(message.seq)
+            self._metrics.ignored.labels("duplicate" if known else "unexpected").inc()
+            return
+        self.stream.answered = True
+        self.answers.append(answer(message, now_s - held.queued_s))
+
+    def _on_refused(self, refused: pb.Refused) -> None:
+        name = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
+        if refused.reason == pb.REFUSED_REASON_FINISHED and self.bye is not None:
+            self.finished = pb.Finished()  # the answer to our Bye was lost with the stream before
+        elif refused.retry_after_ms == 0:
+            self.failure = f"the map service refused the session ({name}): {refused.detail}"
+        else:
+            self._end(f"refused ({name}): {refused.detail}", refused.retry_after_ms)
+
+    def _end(self, reason: str, retry_after_ms: int) -> None:
+        self.stream.ended = reason
+        self.stream.retry_after_s = retry_after_ms * 1e-3
+        self.stream.other_replica = True
+
+    def _gauge(self) -> None:
+        self._metrics.buffer_frames.set(len(self.outbox))
+        self._metrics.buffer_bytes.set(self.outbox.bytes)
