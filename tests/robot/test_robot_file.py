@@ -100,7 +100,7 @@ def test_what_is_no_rigid_transform_is_refused(rows, why):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("lidar: {modle: vlp16}", "lidar.modle: unknown key; nearest known: lidar.model"),
+        ("lidar: {modl: vlp16}", "lidar.modl: unknown key; nearest known: lidar.model"),
         ("lidr: {}", "lidr: unknown key; nearest known: lidar"),
         ("imu: {max_range: 3}", "imu.max_range: unknown key; nearest known: lidar.max_range_m"),
         ("lidar: {model: vlp32}", "lidar.model: Input should be 'vlp16'"),
@@ -123,8 +123,8 @@ def test_every_mistake_names_the_file_the_key_and_what_was_expected(text, said):
 
 
 def test_two_mistakes_are_both_in_the_line():
-    line = wrong("lidar: {modle: a, rings: x}")
-    assert "lidar.modle" in line
+    line = wrong("lidar: {modl: a, rings: x}")
+    assert "lidar.modl" in line
     assert "lidar.rings" in line
 
 
