@@ -9,7 +9,8 @@ import numpy as np
 from sqlalchemy import Row, delete, func, select
 
 from map_service import schema
-from map_service.store import Store, unpack_pose
+from map_service.rows import unpack_pose
+from map_service.store import Store
 
 _PAGE_ROWS = 1000
 

@@ -7,7 +7,8 @@ from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from map_service.config import CommitConfig
-from map_service.store import FencedError, SessionCommit, Store, StoreError
+from map_service.rows import SessionCommit
+from map_service.store import FencedError, Store, StoreError
 from map_service.tally import Tally
 
 _RETRY_FIRST_S = 0.05

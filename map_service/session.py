@@ -16,7 +16,8 @@ from map_service.accounts import SessionAccounts
 from map_service.commits import CommitLog
 from map_service.engine import Engine, Pipeline
 from map_service.hello import WIRE_VERSION, SessionRequest
-from map_service.store import OpenedSession, SessionCommit, Store, StoredAnswer
+from map_service.rows import SessionCommit
+from map_service.store import OpenedSession, Store, StoredAnswer
 from map_service.tally import Tally
 from map_service.types import Cause, Commit, State
 from splitslam import __version__
@@ -186,7 +187,7 @@ class Session:
 
     @property
     def commit_due(self) -> bool:
-        """One commit at a time: while it is written the next one grows, so that a slow store is not asked more often."""
+        """One commit at a time: while it is written the next one grows, so a slow store is not asked more often."""
         if self.log.waiting:
             return False
         return self.log.due() or (bool(self._new_T_map_odom) and self._pipeline.commit_due)

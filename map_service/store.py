@@ -8,17 +8,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Connection, Engine, bindparam, delete, insert, select, update
+from sqlalchemy import Connection, Engine, insert, select, update
 from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from map_service import schema
-from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord, Snapshot
-from splitslam import se3
-
-_FRAME_ROW_BYTES = 3 * 56 + 40
+from map_service.rows import SessionCommit, insert_rows, unpack_pose
+from map_service.types import FactorRecord, FrameRecord, KeyframeRecord, Snapshot
 
 
 class FencedError(Exception):
@@ -65,40 +63,6 @@ class StoredAnswer:
     T_map_lidar: np.ndarray | None
     T_map_odom: np.ndarray | None
     rejected: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SessionCommit:
-    """The pipeline's commit, and what the session itself knows of the same frames.
-
-    T_map_odom: (4, 4) by seq, of every frame in `commit`. rejected: (seq, stamp_ns, reason).
-    """
-
-    commit: Commit
-    T_map_odom: dict[int, np.ndarray]
-    rejected: list[tuple[int, int, str]] = field(default_factory=list)
-    statistics: str = ""
-    finished: bool = False
-
-    @property
-    def bytes(self) -> int:
-        """Size of what it adds to the store, without the database's own overhead."""
-        return (
-            sum(len(k.cloud) + 56 for k in self.commit.keyframes)
-            + sum(len(f.payload) for f in self.commit.factors)
-            + _FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
-        )
-
-
-def pack_pose(T: np.ndarray) -> bytes:
-    """(4, 4) -> 56 bytes: x y z, qx qy qz qw, little-endian float64."""
-    return np.concatenate([T[:3, 3], se3.quat_from_matrix(T[:3, :3])]).astype("<f8").tobytes()
-
-
-def unpack_pose(data: bytes) -> np.ndarray:
-    """56 bytes -> (4, 4)."""
-    values = np.frombuffer(data, "<f8")
-    return se3.from_quat(values[:3], values[3:])
 
 
 class Store:
@@ -163,7 +127,7 @@ class Store:
         with self.writing() as connection:
             if not self._advance(connection, key, epoch, entry):
                 return
-            _insert_rows(connection, key, entry)
+            insert_rows(connection, key, entry)
 
     def _advance(self, connection: Connection, key: int, epoch: int, entry: SessionCommit) -> bool:
         t, commit = schema.sessions, entry.commit
@@ -281,75 +245,3 @@ def _new_session(opening: Opening) -> dict[str, object]:
         "tracker": b"",
         "statistics": "",
     }
-
-
-def _insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
-    commit = entry.commit
-    new_keyframes = {k.index: k for k in commit.keyframes}  # one that comes again replaces the one before
-    frame_rows = [
-        {
-            "session": key,
-            "seq": f.seq,
-            "stamp_ns": f.stamp_ns,
-            "state": int(f.state),
-            "keyframe": f.keyframe,
-            "pose_keyframe_lidar": pack_pose(f.T_keyframe_lidar),
-            "online_map_lidar": pack_pose(f.T_map_lidar_online),
-            "online_map_odom": pack_pose(entry.T_map_odom[f.seq]),
-            "rejected": "",
-        }
-        for f in commit.frames
-    ] + [
-        {
-            "session": key,
-            "seq": seq,
-            "stamp_ns": stamp_ns,
-            "state": 0,
-            "keyframe": None,
-            "pose_keyframe_lidar": None,
-            "online_map_lidar": None,
-            "online_map_odom": None,
-            "rejected": reason[:64],
-        }
-        for seq, stamp_ns, reason in entry.rejected
-    ]
-    keyframe_rows = [
-        {
-            "session": key,
-            "keyframe": k.index,
-            "seq": k.seq,
-            "stamp_ns": k.stamp_ns,
-            "pose_map_lidar": pack_pose(k.T_map_lidar),
-        }
-        for k in new_keyframes.values()
-    ]
-    cloud_rows = [{"session": key, "keyframe": k.index, "cloud": k.cloud} for k in new_keyframes.values()]
-    factor_rows = [{"session": key, "factor": f.index, "kind": f.kind, "payload": f.payload} for f in commit.factors]
-    if new_keyframes:
-        _make_room(connection, key, list(new_keyframes))
-    for table, rows in (
-        (schema.frames, frame_rows),
-        (schema.keyframes, keyframe_rows),
-        (schema.clouds, cloud_rows),
-        (schema.factors, factor_rows),
-    ):
-        if rows:
-            connection.execute(insert(table), rows)
-    if commit.keyframe_poses:
-        t = schema.keyframes
-        connection.execute(
-            update(t)
-            .where(t.c.session == key, t.c.keyframe == bindparam("index"))
-            .values(pose_map_lidar=bindparam("pose")),
-            [{"index": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses],
-        )
-
-
-def _make_room(connection: Connection, key: int, indices: list[int]) -> None:
-    """Remove what the keyframes replace, and count those that are new."""
-    for table in (schema.clouds, schema.keyframes):
-        replaced = connection.execute(
-            delete(table).where(table.c.session == key, table.c.keyframe.in_(indices))
-        ).rowcount
-    t = schema.sessions
-    connection.execute(update(t).where(t.c.id == key).values(keyframes=t.c.keyframes + len(indices) - replaced))

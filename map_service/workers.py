@@ -228,7 +228,8 @@ class WorkerPool:
         self._tasks[-1].cancel()
 
     def kill(self) -> None:
-        """No process stays behind."""
+        """No process stays behind, and none is started again."""
+        self._draining = True
         for worker in self._workers:
             if worker.process.is_alive():
                 worker.kill("not drained in time")

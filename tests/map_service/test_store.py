@@ -16,7 +16,8 @@ from map_service import schema
 from map_service.catalog import Catalog
 from map_service.commits import Committer
 from map_service.config import CommitConfig
-from map_service.store import FencedError, FinishedError, Opening, SessionCommit, Store, StoreError
+from map_service.rows import SessionCommit
+from map_service.store import FencedError, FinishedError, Opening, Store, StoreError
 from map_service.tally import Tally
 from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord
 from splitslam import se3

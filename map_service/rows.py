@@ -1,0 +1,121 @@
+"""A commit as rows of the store's tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from sqlalchemy import Connection, bindparam, delete, insert, update
+
+from map_service import schema
+from map_service.types import Commit
+from splitslam import se3
+
+_FRAME_ROW_BYTES = 3 * 56 + 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionCommit:
+    """The pipeline's commit, and what the session itself knows of the same frames.
+
+    T_map_odom: (4, 4) by seq, of every frame in `commit`. rejected: (seq, stamp_ns, reason).
+    """
+
+    commit: Commit
+    T_map_odom: dict[int, np.ndarray]
+    rejected: list[tuple[int, int, str]] = field(default_factory=list)
+    statistics: str = ""
+    finished: bool = False
+
+    @property
+    def bytes(self) -> int:
+        """Size of what it adds to the store, without the database's own overhead."""
+        return (
+            sum(len(k.cloud) + 56 for k in self.commit.keyframes)
+            + sum(len(f.payload) for f in self.commit.factors)
+            + _FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
+        )
+
+
+def pack_pose(T: np.ndarray) -> bytes:
+    """(4, 4) -> 56 bytes: x y z, qx qy qz qw, little-endian float64."""
+    return np.concatenate([T[:3, 3], se3.quat_from_matrix(T[:3, :3])]).astype("<f8").tobytes()
+
+
+def unpack_pose(data: bytes) -> np.ndarray:
+    """56 bytes -> (4, 4)."""
+    values = np.frombuffer(data, "<f8")
+    return se3.from_quat(values[:3], values[3:])
+
+
+def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
+    """Everything a commit brings; the session's own row has been advanced before."""
+    commit = entry.commit
+    new_keyframes = {k.index: k for k in commit.keyframes}  # one that comes again replaces the one before
+    frame_rows = [
+        {
+            "session": key,
+            "seq": f.seq,
+            "stamp_ns": f.stamp_ns,
+            "state": int(f.state),
+            "keyframe": f.keyframe,
+            "pose_keyframe_lidar": pack_pose(f.T_keyframe_lidar),
+            "online_map_lidar": pack_pose(f.T_map_lidar_online),
+            "online_map_odom": pack_pose(entry.T_map_odom[f.seq]),
+            "rejected": "",
+        }
+        for f in commit.frames
+    ] + [
+        {
+            "session": key,
+            "seq": seq,
+            "stamp_ns": stamp_ns,
+            "state": 0,
+            "keyframe": None,
+            "pose_keyframe_lidar": None,
+            "online_map_lidar": None,
+            "online_map_odom": None,
+            "rejected": reason[:64],
+        }
+        for seq, stamp_ns, reason in entry.rejected
+    ]
+    keyframe_rows = [
+        {
+            "session": key,
+            "keyframe": k.index,
+            "seq": k.seq,
+            "stamp_ns": k.stamp_ns,
+            "pose_map_lidar": pack_pose(k.T_map_lidar),
+        }
+        for k in new_keyframes.values()
+    ]
+    cloud_rows = [{"session": key, "keyframe": k.index, "cloud": k.cloud} for k in new_keyframes.values()]
+    factor_rows = [{"session": key, "factor": f.index, "kind": f.kind, "payload": f.payload} for f in commit.factors]
+    if new_keyframes:
+        _make_room(connection, key, list(new_keyframes))
+    for table, rows in (
+        (schema.frames, frame_rows),
+        (schema.keyframes, keyframe_rows),
+        (schema.clouds, cloud_rows),
+        (schema.factors, factor_rows),
+    ):
+        if rows:
+            connection.execute(insert(table), rows)
+    if commit.keyframe_poses:
+        t = schema.keyframes
+        connection.execute(
+            update(t)
+            .where(t.c.session == key, t.c.keyframe == bindparam("index"))
+            .values(pose_map_lidar=bindparam("pose")),
+            [{"index": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses],
+        )
+
+
+def _make_room(connection: Connection, key: int, indices: list[int]) -> None:
+    """Remove what the keyframes replace, and count those that are new."""
+    for table in (schema.clouds, schema.keyframes):
+        replaced = connection.execute(
+            delete(table).where(table.c.session == key, table.c.keyframe.in_(indices))
+        ).rowcount
+    t = schema.sessions
+    connection.execute(update(t).where(t.c.id == key).values(keyframes=t.c.keyframes + len(indices) - replaced))
