@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from tests.conftest import ROOT
@@ -20,6 +23,7 @@ ROWS = paper_table.read_rows((ROOT / "docs" / "paper.md").read_text())
 DOCUMENTS = sorted(
     p.relative_to(ROOT) for p in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md"))
 )
+LINK = re.compile(r"\]\((?!https?://|#)([^)#\s]+)")
 EACH_ROW = pytest.mark.parametrize("row", ROWS, ids=lambda row: row.paper)
 
 
@@ -52,9 +56,16 @@ def test_what_a_row_shows_as_a_command_is_one(row: paper_table.Row) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=str)
-def test_every_command_in_a_document_can_be_typed(document: str) -> None:
+def test_every_command_in_a_document_can_be_typed(document: Path) -> None:
     shown = commands.shown_in((ROOT / document).read_text())
     assert not [problem for command in shown if (problem := commands.problem_with(command))]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_every_link_and_picture_of_a_document_leads_to_a_file(document: Path) -> None:
+    path = ROOT / document
+    missing = [target for target in LINK.findall(path.read_text()) if not (path.parent / target).exists()]
+    assert not missing
 
 
 @pytest.mark.parametrize(
