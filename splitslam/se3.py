@@ -54,7 +54,7 @@ def exp(xi: Array) -> Array:
 def log(T: Array) -> Array:
     """Transform (4, 4) -> tangent (6,)."""
     w = so3_log(T[:3, :3])
-    return np.concatenate([w, np.linalg.solve(_left_jacobian(w), T[:3, 3])])
+    return np.concatenate([w, np.linalg.solve(_left_jacobian(w), T[:3, 3])], dtype=np.float64)
 
 
 def compose(R: Array, t: Array) -> Array:
@@ -138,4 +138,4 @@ def level_rotation(up_lidar: Array) -> Array:
     if np.linalg.norm(forward) < 1e-3:  # the sensor looks straight up or down: heading is then arbitrary
         forward = np.array([0.0, 1.0, 0.0]) - up[1] * up
     forward /= np.linalg.norm(forward)
-    return np.stack([forward, np.cross(up, forward), up])
+    return np.stack([forward, np.cross(up, forward), up], dtype=np.float64)
