@@ -119,7 +119,10 @@ def _show_run(report: dict[str, Any], out: Path, as_json: bool) -> None:
 def main() -> None:
     """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
     try:
-        sys.exit(typer.main.get_command(app)(prog_name="splitslam", standalone_mode=False))
+        exit_code = typer.main.get_command(app)(prog_name="splitslam", standalone_mode=False)
+        if exit_code == _INTERRUPTED:  # some versions of typer catch Ctrl-C themselves
+            raise KeyboardInterrupt
+        sys.exit(exit_code)
     except (InputError, RunFailedError) as error:
         _fail(str(error), error.exit_code)
     except _UsageError as error:
