@@ -108,7 +108,7 @@ def dump(pipeline: MapPipeline) -> bytes:
             "gnss_factors": pipeline.stats.gnss_factors,
             "corrections": pipeline.stats.corrections,
             "largest_correction_m": pipeline.stats.largest_correction_m,
-            "last_loop_keyframe": -1 if pipeline.closer is None else pipeline.closer.last_used,
+            "closer": None if pipeline.closer is None else pipeline.closer.dump(),
         }
     ).encode()
 
@@ -147,11 +147,12 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         np.array(data["twist"]),
         np.array(data["base_twist"]),
         int(data["bad_frames"]),
+        snapshot.last_seq,
     )
     if pipeline.gnss is not None and data["gnss"] is not None:
         pipeline.gnss.load(data["gnss"])
-    if pipeline.closer is not None:
-        pipeline.closer.last_used = int(data["last_loop_keyframe"])
+    if pipeline.closer is not None and data["closer"] is not None:
+        pipeline.closer.load(data["closer"], pipeline.keyframes, pipeline.graph.poses)
     pipeline.stats.loops = int(data["loops"])
     pipeline.stats.gnss_factors = int(data["gnss_factors"])
     pipeline.stats.corrections = dict(data["corrections"])

@@ -46,6 +46,8 @@ class TrackerState:
     twist: Array  # of the newest motion, rad/s and m/s, frame `lidar`
     base_twist: Array  # zero, but while the first two scans are put together
     bad_frames: int
+    seq: int
+    hole_s: float = 0.0  # time bridged by the last twist instead of measured motion
 
 
 class Tracker:
@@ -63,7 +65,7 @@ class Tracker:
         """Tracks one frame; the caller inserts the keyframe into the local map (`insert`)."""
         if self.state is None:
             return self._begin(frame)
-        state = self.state
+        state = self._across_a_hole(frame, self.state)
         result = self._align(frame, state)
         first_again = None
         if state.frames == 1 and not frame.motion.velocity_known and self.redeskew:
@@ -73,9 +75,18 @@ class Tracker:
 
     def _begin(self, frame: FeatureFrame) -> Track:
         T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))
-        self.state = TrackerState(T, T, frame.stamp_ns, 1, np.zeros(6), np.zeros(6), 0)
+        self.state = TrackerState(T, T, frame.stamp_ns, 1, np.zeros(6), np.zeros(6), 0, frame.seq)
         self._first = frame
         return Track(T, None, State.INITIALISING, True, frame.corners.points_lidar, frame.surfs.points_lidar)
+
+    def _across_a_hole(self, frame: FeatureFrame, state: TrackerState) -> TrackerState:
+        """The state carried on over frames that were rejected: the next frame's motion starts where they were."""
+        missing = frame.seq - state.seq - 1
+        if missing <= 0:
+            return state
+        gap_ns = (frame.stamp_ns - state.stamp_ns) * missing // (missing + 1)
+        T = state.T_local_lidar @ se3.exp(state.twist * gap_ns * 1e-9)
+        return replace(state, T_local_lidar=T, stamp_ns=state.stamp_ns + gap_ns, hole_s=gap_ns * 1e-9)
 
     def _align(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
         motion, s = frame.motion, self.settings
@@ -87,6 +98,7 @@ class Tracker:
             sigmas = np.minimum(sigmas, limits)
         T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
         floors = np.array([s.pose_rotation_rad, s.pose_translation_m])
+        floors = floors + 0.5 * state.hole_s**2 * np.array([s.start_rotation_radps2, s.start_acceleration_mps2])
         variances = np.repeat((sigmas * interval_s) ** 2 + floors**2, 3)
         prediction = Prediction(
             state.T_local_lidar @ T_prev_lidar, np.diag(1.0 / variances), interval_s, float(sigmas[0]), float(sigmas[1])
@@ -97,7 +109,7 @@ class Tracker:
             _again(frame.surfs, base),
             (_seconds(frame.corners), _seconds(frame.surfs)),
             prediction,
-            self.redeskew,
+            self.redeskew and not state.hole_s,  # after a hole the prediction's error says nothing about this scan
         )
         return replace(result, delta_twist=result.delta_twist + base)
 
@@ -161,6 +173,7 @@ class Tracker:
             twist,
             np.zeros(6),
             bad_frames,
+            frame.seq,
         )
         delta = result.delta_twist if good and self.redeskew else np.zeros(6)
         return Track(T, result, status, keyframe, _again(frame.corners, delta), _again(frame.surfs, delta))

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
@@ -83,7 +85,27 @@ def test_results_are_applied_at_a_fixed_number_of_scans_however_fast_they_come()
     closer.look(100, keyframes, poses)
     ((request, future),) = verifier.jobs
     assert (request.older, request.newer) == (0, 2)
+    again = LoopCloser(LoopSettings(apply_after_frames=10), LaterVerifier())
+    again.load(json.loads(json.dumps(closer.dump())), keyframes, poses)  # a restart asks for it again
+    assert again.dump() == closer.dump()
     future.set_result(LoopResult(0, 2, np.eye(4), True, "", 0.9, 0.05))
     assert closer.due(109) == []
     assert [r.newer for r in closer.due(110)] == [2]
     assert closer.due(111) == []
+
+
+def test_a_dead_verifier_costs_a_loop_and_not_the_session():
+    from map_service.closing import LoopCloser
+    from map_service.keyframes import Keyframe, Keyframes
+
+    keyframes, poses = Keyframes(), []
+    cloud, shade = np.zeros((4, 3), np.float32), np.zeros(4, np.uint8)
+    for k in range(2):
+        poses.append(np.eye(4))
+        keyframes.append(Keyframe(k, k + 1, k * 40 * SECOND, np.eye(4), cloud, cloud, shade, shade))
+    verifier = LaterVerifier()
+    closer = LoopCloser(LoopSettings(apply_after_frames=1), verifier)
+    closer.look(2, keyframes, poses)
+    verifier.jobs[0][1].set_exception(BrokenProcessPool())
+    assert closer.due(3) == []
+    assert closer.rejected == {"verifier_died": 1}
