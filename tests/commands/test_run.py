@@ -196,6 +196,7 @@ def test_options_beat_the_environment_and_that_beats_the_file(
     assert (seen["uplink"]["max_kbps"], seen["uplink"]["window"]) == (300.0, 3)
     assert (seen["pipeline"]["deskew"], seen["pipeline"]["step_m"]) == ("cpu", 0.02)
     assert seen["site_id"] == "environment"
+    assert seen["environment"] == []
     assert seen["server"].startswith("127.0.0.1:")
     assert seen["disable"] == ["loops", "gnss"]
     assert seen["source"] | {"recording": ""} == {"recording": "", "realtime": True, "max_scans": 7, "queue_scans": 20}
