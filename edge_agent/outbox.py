@@ -42,6 +42,7 @@ class Outbox:
         self._held: OrderedDict[int, Held] = OrderedDict()
         self._in_flight: dict[int, None] = {}
         self._unsent: OrderedDict[int, None] = OrderedDict()
+        self._evicted: set[int] = set()
 
     def __len__(self) -> int:
         return len(self._held)
@@ -67,6 +68,7 @@ class Outbox:
         evicted = []
         while self.bytes > self.limit_bytes and (seq := self._victim()) is not None:
             evicted.append(Evicted(seq, self._held[seq].answered))
+            self._evicted.add(seq)
             self._forget(seq)
         return evicted
 
@@ -94,9 +96,14 @@ class Outbox:
         if not self._unsent or len(self._in_flight) >= self.window:
             return None
         seq, _ = self._unsent.popitem(last=False)
-        self._held[seq].sent = True
+        held = self._held[seq]
+        held.sent = True
         self._in_flight[seq] = None
-        return self._held[seq].frame
+        before = seq - 1
+        while before in self._evicted:
+            before -= 1
+        held.frame.follows_seq = before if before != seq - 1 else 0  # a hole is declared, or the server waits for it
+        return held.frame
 
     def answer(self, seq: int) -> Held | None:
         """Takes the answer to `seq`; the held frame when this is its first answer, else None."""
@@ -116,6 +123,7 @@ class Outbox:
     def mark_durable(self, durable_seq: int) -> None:
         """Lets go of every answered frame that survives the loss of the server."""
         self.durable_seq = max(self.durable_seq, durable_seq)
+        self._evicted = {seq for seq in self._evicted if seq >= self.durable_seq}
         prefix = itertools.takewhile(lambda seq: seq <= self.durable_seq, self._held)
         done = [seq for seq in prefix if self._held[seq].answered and seq not in self._in_flight]
         for seq in done:

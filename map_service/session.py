@@ -108,13 +108,16 @@ class Session:
         poisoned: the pipeline failed on this very frame before; it is rejected, so that the session goes on.
         """
         self.touched_s = time.monotonic()
-        if frame.seq > self.log.applied_seq + 1 or frame.seq == 0:
+        declared = 0 < frame.follows_seq <= self.log.applied_seq < frame.seq  # the robot dropped what is between
+        if (frame.seq > self.log.applied_seq + 1 and not declared) or frame.seq == 0:
             self._tally.count("frames", "gap")
             raise SequenceGapError(self.log.applied_seq + 1, frame.seq)
         if frame.seq <= self.log.applied_seq:
             self._tally.count("frames", "duplicate")
             answer = self._duplicate(frame.seq)
         else:
+            if missing := frame.seq - self.log.applied_seq - 1:
+                self._tally.count("frames", "missing", by=missing)
             with self.accounts.timed():
                 answer = self._map_or_reject(frame, poisoned)
             self.log.applied_seq = frame.seq

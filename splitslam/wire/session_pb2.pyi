@@ -68,7 +68,7 @@ class Hello(_message.Message):
     def __init__(self, robot_id: _Optional[str] = ..., run_id: _Optional[str] = ..., robot_file_yaml: _Optional[str] = ..., beam_elevations_rad: _Optional[_Iterable[float]] = ..., wire_version: _Optional[int] = ..., codec_version: _Optional[int] = ..., site_id: _Optional[str] = ..., map_id: _Optional[str] = ..., attempt: _Optional[int] = ..., agent_version: _Optional[str] = ..., deskew: _Optional[str] = ..., disable: _Optional[_Iterable[str]] = ..., lockstep: bool = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("seq", "stamp_ns", "dense", "codec_version", "payload", "fixes", "wheel", "trace_id")
+    __slots__ = ("seq", "stamp_ns", "dense", "codec_version", "payload", "fixes", "wheel", "trace_id", "follows_seq")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     DENSE_FIELD_NUMBER: _ClassVar[int]
@@ -77,6 +77,7 @@ class Frame(_message.Message):
     FIXES_FIELD_NUMBER: _ClassVar[int]
     WHEEL_FIELD_NUMBER: _ClassVar[int]
     TRACE_ID_FIELD_NUMBER: _ClassVar[int]
+    FOLLOWS_SEQ_FIELD_NUMBER: _ClassVar[int]
     seq: int
     stamp_ns: int
     dense: bool
@@ -85,7 +86,8 @@ class Frame(_message.Message):
     fixes: _containers.RepeatedCompositeFieldContainer[_types_pb2.GnssFix]
     wheel: _types_pb2.WheelMotion
     trace_id: str
-    def __init__(self, seq: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., dense: bool = ..., codec_version: _Optional[int] = ..., payload: _Optional[bytes] = ..., fixes: _Optional[_Iterable[_Union[_types_pb2.GnssFix, _Mapping]]] = ..., wheel: _Optional[_Union[_types_pb2.WheelMotion, _Mapping]] = ..., trace_id: _Optional[str] = ...) -> None: ...
+    follows_seq: int
+    def __init__(self, seq: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., dense: bool = ..., codec_version: _Optional[int] = ..., payload: _Optional[bytes] = ..., fixes: _Optional[_Iterable[_Union[_types_pb2.GnssFix, _Mapping]]] = ..., wheel: _Optional[_Union[_types_pb2.WheelMotion, _Mapping]] = ..., trace_id: _Optional[str] = ..., follows_seq: _Optional[int] = ...) -> None: ...
 
 class Bye(_message.Message):
     __slots__ = ("last_seq",)

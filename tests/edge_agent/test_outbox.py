@@ -101,3 +101,13 @@ def test_a_frame_in_flight_is_not_dropped():
     assert sent(outbox) == [1]
     outbox.add(frame(2), 0.0)
     assert [e.seq for e in outbox.add(frame(3), 0.0)] == [2]
+
+
+def test_a_hole_is_declared_by_the_frame_after_it_and_by_no_other():
+    outbox = Outbox(limit_bytes=4 * frame(1, dense=True).ByteSize(), window=100)
+    for seq in range(1, 8):
+        outbox.add(frame(seq, dense=seq in (1, 2, 6)), 0.0)
+    declared = {}
+    while (next_frame := outbox.next_frame()) is not None:
+        declared[next_frame.seq] = next_frame.follows_seq
+    assert declared == {1: 0, 2: 0, 6: 2, 7: 0}

@@ -72,6 +72,19 @@ def test_a_gap_ends_the_stream_with_the_expected_seq_and_the_session_goes_on(
     assert resumed.ask(frame(2)).pose_map_lidar.tx_m == 2.0
 
 
+def test_a_hole_that_the_robot_declares_is_accepted(service: Service, connect: Connect) -> None:
+    robot = connect(service)
+    robot.ask(frame(1))
+    after = frame(4)
+    after.follows_seq = 1
+    answer = robot.ask(after)
+    assert (answer.seq, answer.applied_seq, answer.rejected) == (4, 4, "")
+    undeclared = frame(7)
+    undeclared.follows_seq = 5  # the robot still has 5: it must send it
+    robot.send(undeclared)
+    assert robot.end() == grpc.StatusCode.ABORTED
+
+
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
