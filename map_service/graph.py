@@ -36,6 +36,7 @@ class PoseGraph:
         self._alive: list[Callable[..., Array]] = []  # gtsam keeps no reference to a Python error function
         self.records: list[FactorRecord] = []
         self.poses: list[Array] = []
+        self.loops: list[tuple[int, int]] = []  # (older, newer) keyframes
         self.T_enu_map: Array | None = None
 
     # --- what the session adds --------------------------------------------------------------------------------
@@ -86,6 +87,7 @@ class PoseGraph:
             motion = gtsam.Pose3(_square(p["motion"]))
             self._graph.add(gtsam.BetweenFactorPose3(X(p["to"] - 1), X(p["to"]), motion, noise))
         elif record.kind == "loop":
+            self.loops.append((p["older"], p["newer"]))
             noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat(p["sigmas"], 3))
             motion = gtsam.Pose3(_square(p["motion"]))
             self._graph.add(gtsam.BetweenFactorPose3(X(p["older"]), X(p["newer"]), motion, _cauchy(noise, p["robust"])))

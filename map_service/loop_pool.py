@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import multiprocessing
 import os
@@ -50,9 +51,15 @@ class LoopPool:
         return self._ended_ns + sum(cpu_ns(pid) for pid in list(processes))
 
     def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = None
+        """Ends the processes, whatever they do, and frees the pool's semaphores: the worker exits without handlers."""
+        if self._pool is None:
+            return
+        pool, self._pool = self._pool, None
+        for process in list((getattr(pool, "_processes", None) or {}).values()):
+            process.kill()
+        pool.shutdown(wait=True, cancel_futures=True)
+        del pool
+        gc.collect()
 
 
 def _result(job: LoopJob, done: Future[LoopResult]) -> LoopResult:

@@ -231,7 +231,8 @@ class MapPipeline:
         """Counts and times for reports and metrics (JSON-ready)."""
         rejected = {} if self.gnss is None else dict(self.gnss.rejected)
         loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
-        return self.stats.report(len(self.frames), len(self.keyframes), rejected, loops_rejected)
+        report = self.stats.report(len(self.frames), len(self.keyframes), rejected, loops_rejected)
+        return {**report, "loop_keyframes": [list(pair) for pair in self.graph.loops]}
 
     # --- persistence ------------------------------------------------------------------------------------------
 
