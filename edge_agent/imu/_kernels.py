@@ -62,65 +62,73 @@ def integrate(stamps_ns, gyro, accel, bias, gravity_mps2, states):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def blend(stamps_ns, offset, limits, offsets):
-    """Lets the offset (6,) rotation vector and translation fade: offsets (M, 6), row k at stamps_ns[k] (k >= 1).
+def place(states, out):
+    """out (M, 12) row-major 3x4 of the poses in states (M, 15)."""
+    for k in range(len(states)):
+        for r in range(3):
+            for c in range(3):
+                out[k, 4 * r + c] = states[k, 3 * r + c]
+            out[k, 4 * r + 3] = states[k, 9 + r]
 
-    limits: (3,) time constant s, largest rate rad/s, largest rate m/s.
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def follow(stamps_ns, wanted, limits, lever_m, output, worst):
+    """Output poses that move as the IMU says and close in on `wanted`, which corrections may have moved away.
+
+    wanted, output: (M, 12) row-major 3x4 of T_odom_imu; output[0] is given, at the time of wanted[0]. Each step is
+    wanted's own increment, then a part of the remaining error: limits (5,) are its time constant s, largest rate rad/s
+    and m/s, largest step rad and m. lever_m (3,): the LiDAR in `imu`. worst (2,): the largest of these steps at the
+    LiDAR, m and rad, is raised.
     """
-    for c in range(6):
-        offsets[0, c] = offset[c]
+    D = np.empty((3, 4))
+    E = np.empty((3, 4))
+    F = np.empty((3, 3))
+    q = np.empty((1, 4))
+    moved = np.empty(12)
     for k in range(1, len(stamps_ns)):
         dt = (stamps_ns[k] - stamps_ns[k - 1]) * 1e-9
-        for part in range(2):
-            norm = 0.0
-            for c in range(3 * part, 3 * part + 3):
-                norm += offsets[k - 1, c] ** 2
-            norm = math.sqrt(norm)
-            step = min(norm * (1.0 - math.exp(-dt / limits[0])), limits[1 + part] * dt)
-            scale = 1.0 - step / norm if norm > 1e-12 else 0.0
-            for c in range(3 * part, 3 * part + 3):
-                offsets[k, c] = scale * offsets[k - 1, c]
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def emit(states, offsets, T_imu_lidar, poses):
-    """poses (M, 12) row-major 3x4 of T_odom_lidar = T_odom_imu * offset * T_imu_lidar."""
-    E = np.empty((3, 3))
-    A = np.empty((3, 3))
-    for k in range(len(states)):
-        s = states[k]
-        rotation(offsets[k, 0], offsets[k, 1], offsets[k, 2], E)
-        for r in range(3):
-            for c in range(3):
-                A[r, c] = s[3 * r] * E[0, c] + s[3 * r + 1] * E[1, c] + s[3 * r + 2] * E[2, c]
-        for r in range(3):
-            for c in range(4):
-                value = A[r, 0] * T_imu_lidar[0, c] + A[r, 1] * T_imu_lidar[1, c] + A[r, 2] * T_imu_lidar[2, c]
-                if c == 3:
-                    value += s[9 + r]
-                    for j in range(3):
-                        value += s[3 * r + j] * offsets[k, 3 + j]
-                poses[k, 4 * r + c] = value
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def steps(states, poses, T_imu_lidar, worst):
-    """Largest difference between an increment of `poses` and the IMU's own: worst (2,) m, rad is raised."""
-    plain = np.empty((len(states), 12))
-    emit(states, np.zeros((len(states), 6)), T_imu_lidar, plain)
-    a = np.empty((3, 4))
-    b = np.empty((3, 4))
-    for k in range(1, len(states)):
-        increment(poses[k - 1], poses[k], a)
-        increment(plain[k - 1], plain[k], b)
+        share = 1.0 - math.exp(-dt / limits[0])
+        increment(wanted[k - 1], wanted[k], D)
+        chain(output[k - 1], D, moved)
+        increment(moved, wanted[k], E)
+        quaternion(E, 0, q)
+        v = math.sqrt(q[0, 0] ** 2 + q[0, 1] ** 2 + q[0, 2] ** 2)
+        angle = 2.0 * math.atan2(v, q[0, 3])
+        turn = min(angle * share, limits[1] * dt, limits[3])
+        scale = turn / v if v > 1e-12 else 0.0
+        rotation(scale * q[0, 0], scale * q[0, 1], scale * q[0, 2], F)
+        distance = math.sqrt(E[0, 3] ** 2 + E[1, 3] ** 2 + E[2, 3] ** 2)
+        move = min(distance * share, limits[2] * dt, limits[4])
+        scale = move / distance if distance > 1e-12 else 0.0
         square = 0.0
-        trace = 0.0
         for r in range(3):
-            square += (a[r, 3] - b[r, 3]) ** 2
+            D[r, 3] = scale * E[r, 3]
+            at_lidar = D[r, 3] - lever_m[r]
             for c in range(3):
-                trace += a[r, c] * b[r, c]
+                D[r, c] = F[r, c]
+                at_lidar += F[r, c] * lever_m[c]
+            square += at_lidar * at_lidar
+        chain(moved, D, output[k])
         worst[0] = max(worst[0], math.sqrt(square))
-        worst[1] = max(worst[1], math.acos(min(1.0, max(-1.0, 0.5 * (trace - 1.0)))))
+        worst[1] = max(worst[1], turn)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def chain(a, D, out):
+    """out (12,) = a (12,) * D (3, 4)."""
+    for r in range(3):
+        for c in range(4):
+            value = a[4 * r + 3] if c == 3 else 0.0
+            for j in range(3):
+                value += a[4 * r + j] * D[j, c]
+            out[4 * r + c] = value
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def emit(imu_poses, T_imu_lidar, poses):
+    """poses (M, 12) row-major 3x4 of T_odom_lidar = T_odom_imu * T_imu_lidar."""
+    for k in range(len(imu_poses)):
+        chain(imu_poses[k], T_imu_lidar, poses[k])
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

@@ -2,8 +2,8 @@
 
 Three clocks meet here. Samples come at IMU rate and are integrated from the last optimised state; scans ask for the
 motion they were taken in; answers of the map service come late and correct the state in the past, after which the
-samples since then are integrated again. What leaves the node never jumps: the difference that a correction makes at
-the newest sample becomes an offset that fades.
+samples since then are integrated again. What leaves the node never jumps: it moves as the IMU says, and closes in on
+the corrected state a little with each sample.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ImuNode:
         self._answers = 0
         self._live = np.zeros((1, 15))
         self._live_ns = 0
-        self._offset = np.zeros(6)
+        self._output = np.eye(4)[:3].reshape(-1)  # T_odom_imu as it was given out, at _live_ns
         self._history: deque[tuple[int, Array]] = deque()
         self._previous_scan_ns: int | None = None
         self._tilt_sigma_rad = 0.1
@@ -71,14 +71,14 @@ class ImuNode:
         states[0] = self._live[0]
         g = self.robot.gravity_mps2
         kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, anchor.bias, g, states)
-        offsets = np.empty((len(states), 6))
+        wanted, output, poses = np.empty((3, len(states), 12))
+        kernels.place(states, wanted)
         s = self.settings
-        limits = np.array([s.blend_time_s, s.blend_max_radps, s.blend_max_mps])
-        kernels.blend(window.stamps_ns, self._offset, limits, offsets)
-        poses = np.empty((len(states), 12))
-        kernels.emit(states, offsets, self.T_imu_lidar, poses)
-        kernels.steps(states, poses, self.T_imu_lidar, self._worst)
-        self._live, self._live_ns, self._offset = states[-1:].copy(), end_ns, offsets[-1].copy()
+        limits = np.array([s.blend_time_s, s.blend_max_radps, s.blend_max_mps, s.blend_step_rad, s.blend_step_m])
+        output[0] = self._output
+        kernels.follow(window.stamps_ns, wanted, limits, self.T_imu_lidar[:3, 3].copy(), output, self._worst)
+        kernels.emit(output, self.T_imu_lidar, poses)
+        self._live, self._live_ns, self._output = states[-1:].copy(), end_ns, output[-1].copy()
         for stamp_ns, pose in zip(window.stamps_ns[1:], poses[1:], strict=True):
             self._history.append((int(stamp_ns), pose))
         while self._history and self._history[0][0] < end_ns - s.history_s * 1e9:
@@ -145,8 +145,9 @@ class ImuNode:
         return se3.compose(row[:9].reshape(3, 3), row[9:12]) @ self.T_imu_lidar
 
     def _knots(self, offsets_ns: NDArray[np.int64], states: Array) -> Knots:
-        poses = np.empty((len(states), 12))
-        kernels.emit(states, np.zeros((len(states), 6)), self.T_imu_lidar, poses)
+        imu_poses, poses = np.empty((2, len(states), 12))
+        kernels.place(states, imu_poses)
+        kernels.emit(imu_poses, self.T_imu_lidar, poses)
         rotation, translation = np.empty((len(states), 3)), np.empty((len(states), 3))
         kernels.knots(poses, rotation, translation)
         return Knots(offsets_ns.astype(np.int64), rotation, translation)
@@ -189,6 +190,7 @@ class ImuNode:
         T_odom_imu = T_odom_lidar @ self.T_lidar_imu
         self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, self.settings.prior_velocity_mps)
         self._live, self._live_ns = _row(self._anchor)[None], start_ns
+        self._output = T_odom_imu[:3].reshape(-1)
         self._history.append((start_ns, T_odom_lidar[:3].reshape(-1).copy()))
         if self.buffer.last_ns > start_ns:
             self._propagate(self.buffer.last_ns)
@@ -235,22 +237,16 @@ class ImuNode:
         self._start_graph(stamp_ns, T_server_imu)
 
     def _take(self, state: NavigationState) -> None:
-        """Makes `state` the anchor and carries the output over without a step."""
-        before = np.empty((1, 12))
-        kernels.emit(self._live, self._offset[None], self.T_imu_lidar, before)
+        """Makes `state` the anchor; the output goes on from where it is and closes in on it."""
+        if self._live_ns < state.stamp_ns:  # samples are late: the output comes along on the last of them
+            self._propagate(state.stamp_ns)
         self._anchor = state
-        if self._live_ns > state.stamp_ns:
-            window = self.buffer.window(state.stamp_ns, self._live_ns)
-            states = np.empty((len(window.stamps_ns), 15))
-            states[0] = _row(state)
-            g = self.robot.gravity_mps2
-            kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
-            self._live = states[-1:].copy()
-        else:
-            self._live, self._live_ns = _row(state)[None], state.stamp_ns
-        T_live = se3.compose(self._live[0, :9].reshape(3, 3), self._live[0, 9:12])
-        E = se3.inv(T_live) @ _matrix(before[0]) @ self.T_lidar_imu
-        self._offset = np.concatenate([se3.so3_log(E[:3, :3]), E[:3, 3]])
+        window = self.buffer.window(state.stamp_ns, self._live_ns)
+        states = np.empty((len(window.stamps_ns), 15))
+        states[0] = _row(state)
+        g = self.robot.gravity_mps2
+        kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
+        self._live = states[-1:].copy()
 
 
 def _row(state: NavigationState) -> Array:

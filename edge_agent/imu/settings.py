@@ -22,6 +22,8 @@ class ImuSettings(Model):
     blend_time_s: float = 0.3
     blend_max_mps: float = 0.1
     blend_max_radps: float = 0.05
+    blend_step_m: float = 0.01
+    blend_step_rad: float = 0.003
     history_s: float = 10.0
     no_imu_velocity_mps: float = 0.5
     no_imu_rate_radps: float = 0.5

@@ -32,41 +32,69 @@ def test_integration_equals_its_naive_twin():
     np.testing.assert_allclose(states, naive_integrate(stamps, gyro, accel, bias, 9.81, first), atol=1e-10)
 
 
-def test_emitted_poses_are_state_times_offset_times_extrinsics():
-    stamps, gyro, accel, bias, first = random_motion(8)
+def naive_follow(stamps, wanted, limits, lever, first):
+    tau, rate_rad, rate_m, step_rad, step_m = limits
+    output, worst = [first], np.zeros(2)
+    L = se3.compose(np.eye(3), lever)
+    for k in range(1, len(stamps)):
+        dt = (stamps[k] - stamps[k - 1]) * 1e-9
+        moved = output[-1] @ se3.inv(wanted[k - 1]) @ wanted[k]
+        error = se3.inv(moved) @ wanted[k]
+        turn, shift = se3.so3_log(error[:3, :3]), error[:3, 3]
+        angle, distance = np.linalg.norm(turn), np.linalg.norm(shift)
+        share = 1 - np.exp(-dt / tau)
+        turn = turn * min(angle * share, rate_rad * dt, step_rad) / max(angle, 1e-12)
+        shift = shift * min(distance * share, rate_m * dt, step_m) / max(distance, 1e-12)
+        step = se3.compose(se3.so3_exp(turn), shift)
+        output.append(moved @ step)
+        worst = np.maximum(worst, [np.linalg.norm((se3.inv(L) @ step @ L)[:3, 3]), np.linalg.norm(turn)])
+    return output, worst
+
+
+def followed(wanted, stamps, limits, first, lever=(0.3, -0.2, 0.1)):
+    rows = np.array([T[:3].reshape(-1) for T in wanted])
+    output, worst = np.empty_like(rows), np.zeros(2)
+    output[0] = first[:3].reshape(-1)
+    kernels.follow(stamps, rows, np.array(limits), np.array(lever), output, worst)
+    return output.reshape(-1, 3, 4), worst
+
+
+def states_as_matrices(count: int = 40):
+    stamps, gyro, accel, bias, first = random_motion(count)
     states = naive_integrate(stamps, gyro, accel, bias, 9.81, first)
-    offsets = np.random.default_rng(2).normal(0, 0.1, (8, 6))
+    return stamps, states, [se3.compose(s[:9].reshape(3, 3), s[9:12]) for s in states]
+
+
+def test_the_output_follows_as_its_naive_twin_does():
+    stamps, _, wanted = states_as_matrices()
+    first = wanted[0] @ se3.exp(np.array([0.02, -0.01, 0.03, 0.2, 0.1, -0.3]))
+    for limits in ((0.3, 0.05, 0.1, 1e-3, 2e-4), (0.05, 1e3, 1e3, 1e3, 1e3)):
+        output, worst = followed(wanted, stamps, limits, first)
+        naive, naive_worst = naive_follow(stamps, wanted, limits, np.array([0.3, -0.2, 0.1]), first)
+        np.testing.assert_allclose(output, np.array(naive)[:, :3], atol=1e-9)
+        np.testing.assert_allclose(worst, naive_worst, atol=1e-9)
+
+
+def test_a_large_correction_of_a_fast_robot_steps_no_more_than_it_may():
+    # 10 Hz at 20 m/s, 6 degrees and 2 m off: a correction must turn neither the increments nor the way ahead
+    stamps = np.arange(0, 30_000_000_000, 100_000_000)
+    wanted = [se3.compose(se3.so3_exp(np.array([0, 0, 0.02 * k])), np.array([2.0 * k, 0, 0])) for k in range(300)]
+    first = wanted[0] @ se3.exp(np.array([0.1, 0, 0, 0, 2.0, 0]))
+    output, worst = followed(wanted, stamps, (0.3, 0.05, 0.1, 0.003, 0.01), first)
+    error = [se3.inv(T) @ se3.compose(o[:, :3], o[:, 3]) for T, o in zip(wanted, output, strict=True)]
+    assert worst[0] <= 0.01 + 0.003 * 0.4
+    assert worst[1] <= 0.003 + 1e-12
+    assert se3.angle(error[-1]) < 1e-4
+    assert np.linalg.norm(error[-1][:3, 3]) < 0.01
+
+
+def test_poses_are_those_of_the_states_times_the_extrinsics():
+    _, states, wanted = states_as_matrices(8)
     T_imu_lidar = se3.exp(np.array([0.1, 0.2, 0.3, 1, 2, 3]))
-    poses = np.empty((8, 12))
-    kernels.emit(states, offsets, T_imu_lidar, poses)
-    for s, o, pose in zip(states, offsets, poses, strict=True):
-        T = se3.compose(s[:9].reshape(3, 3), s[9:12]) @ se3.compose(se3.so3_exp(o[:3]), o[3:]) @ T_imu_lidar
-        np.testing.assert_allclose(pose.reshape(3, 4), T[:3], atol=1e-12)
-
-
-def test_an_offset_fades_no_faster_than_allowed_and_to_nothing():
-    stamps = np.arange(0, 5_000_000_000, 5_000_000)
-    offsets = np.empty((len(stamps), 6))
-    kernels.blend(stamps, np.array([0.02, 0, 0, 0.3, 0, 0.4]), np.array([0.3, 0.05, 0.1]), offsets)
-    rates = np.abs(np.diff(np.linalg.norm(offsets[:, 3:], axis=1))) / 0.005
-    assert rates.max() <= 0.1 + 1e-9
-    assert np.abs(np.diff(np.linalg.norm(offsets[:, :3], axis=1))).max() / 0.005 <= 0.05 + 1e-9
-    assert np.linalg.norm(offsets[-1, :3]) < 1e-6
-    assert np.linalg.norm(offsets[0, 3:]) == 0.5
-    assert (np.diff(np.linalg.norm(offsets, axis=1)) <= 0).all()
-
-
-def test_steps_measures_what_the_output_adds_to_the_imu_s_own_motion():
-    stamps, gyro, accel, bias, first = random_motion(5)
-    states = naive_integrate(stamps, gyro, accel, bias, 9.81, first)
-    offsets = np.zeros((5, 6))
-    offsets[3:, 3] = 0.04
-    poses, worst = np.empty((5, 12)), np.zeros(2)
-    kernels.emit(states, offsets, np.eye(4), poses)
-    kernels.steps(states, poses, np.eye(4), worst)
-    # one step of 4 cm, and the lever of the last rotation on the offset that stays
-    assert 0.039 < worst[0] < 0.05
-    assert worst[1] < 1e-6
+    imu_poses, poses = np.empty((2, 8, 12))
+    kernels.place(states, imu_poses)
+    kernels.emit(imu_poses, T_imu_lidar, poses)
+    np.testing.assert_allclose(poses.reshape(8, 3, 4), [(T @ T_imu_lidar)[:3] for T in wanted], atol=1e-12)
 
 
 def test_quaternions_positions_and_knots_are_those_of_the_poses():
