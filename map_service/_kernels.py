@@ -3,7 +3,8 @@
 The voxel map is one open-addressing hash table for all levels. Row layout:
   keys    (C,) int64: level << 60 | ix << 40 | iy << 20 | iz, biased by 2^19; -1: free.
   moments (C, 10) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre.
-  geometry (C, 10) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind.
+  geometry (C, 13) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind, longest
+  axis (3).
 Kind: 0 none, 1 plane, 2 line. C is a power of two.
 """
 
@@ -151,6 +152,7 @@ def fit(keys, moments, geometry, touched, voxel_m, kind, limits):
         g[3], g[4], g[5] = V[0, axis], V[1, axis], V[2, axis]
         g[6], g[7], g[8] = l_min, l_mid, l_max
         g[9] = kind
+        g[10], g[11], g[12] = V[0, hi], V[1, hi], V[2, hi]
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -279,6 +281,63 @@ def linearise(geometry, moments, points_lidar, T, slots, noise, H, b):
                 for c in range(r, 6):
                     H[r, c] += s * J[c]
     return cost, inliers, squares
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def spurious(geometry, moments, points_lidar, T, slots, noise, H):
+    """Adds to H (6, 6) the information that `linearise` reports, in the mean, because fitted axes are noisy.
+
+    A plane's normal wavers about its in-plane axes j with variance l_min / (n l_j), a line's direction about both
+    others with l_mid / (n l_max): a smooth tunnel's walls seem to say where along it the sensor is. Variances of
+    principal axes to first order: Jolliffe, "Principal Component Analysis", 2002, section 3.6. Upper triangle only.
+    """
+    J = np.empty(6)
+    for k in range(len(points_lidar)):
+        i = slots[k]
+        if i < 0:
+            continue
+        g = geometry[i]
+        n = moments[i, 0]
+        px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
+        dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - g[0]
+        dy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - g[1]
+        dz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3] - g[2]
+        along = dx * g[3] + dy * g[4] + dz * g[5]
+        square = dx * dx + dy * dy + dz * dz
+        if g[9] == PLANE:
+            thin, spread, distance2 = g[6], g[7], along * along
+            other = max(square - distance2, 0.0)
+        else:
+            thin, spread, distance2 = g[7], g[8], max(square - along * along, 0.0)
+            other = along * along
+        variance = (thin + noise[0] * noise[0]) * (1.0 + (1.0 + other / (spread + 1e-4)) / n)
+        weight = 1.0 / ((1.0 + distance2 / (variance * noise[1] * noise[1])) * variance)
+        tilt = max(thin, 2.5e-5) / max(n - 3.0, 1.0)
+        for row in range(2):
+            if g[9] == PLANE:
+                if row == 0:
+                    nx, ny, nz = g[10], g[11], g[12]
+                    s = weight * tilt / (g[8] + 1e-6)
+                else:
+                    nx, ny, nz = (
+                        g[4] * g[12] - g[5] * g[11],
+                        g[5] * g[10] - g[3] * g[12],
+                        g[3] * g[11] - g[4] * g[10],
+                    )
+                    s = weight * tilt / (g[7] + 1e-6)
+            else:  # both directions across the line waver along it
+                nx, ny, nz = g[3], g[4], g[5]
+                s = weight * tilt / (g[8] + 1e-6)
+            ax = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
+            ay = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
+            az = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
+            J[0] = py * az - pz * ay
+            J[1] = pz * ax - px * az
+            J[2] = px * ay - py * ax
+            J[3], J[4], J[5] = ax, ay, az
+            for r in range(6):
+                for c in range(r, 6):
+                    H[r, c] += s * J[r] * J[c]
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

@@ -28,7 +28,7 @@ class VoxelMap:
     def _allocate(self, capacity: int) -> None:
         self.keys = np.full(capacity, -1, np.int64)
         self.moments = np.zeros((capacity, 10))
-        self.geometry = np.zeros((capacity, 10))
+        self.geometry = np.zeros((capacity, 13))
         self.used = 0
 
     def clear(self) -> None:

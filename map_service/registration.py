@@ -92,10 +92,12 @@ class Registration:
         gate_m = min(s.gate_start_m + s.gate_sigmas * reach_m, s.gate_limit_m)
         converged, iterations, damping = False, 0, s.damping
         H, fit, axes = np.zeros((6, 6)), _Fit(0.0, 0, 0.0, 0), np.zeros((0, 6))
-        noise = np.array([s.point_sigma_m, s.robust_sigmas])
+        noise, spurious = np.array([s.point_sigma_m, s.robust_sigmas]), None
         for iterations in range(1, s.max_iterations + 1):
             H_all, b, fit = _normal_equations(classes, T, gate_m, noise)
-            H, b, axes = self._observed(H_all, b, fit)
+            if spurious is None:  # it hardly changes with the pose
+                spurious = _spurious_information(classes, T, noise)
+            H, b, axes = self._observed(H_all, spurious, b, fit)
             xi_prior = se3.log(se3.inv(prediction.T_local_lidar) @ T)
             H_total = H + prediction.information
             b_total = b - prediction.information @ xi_prior
@@ -118,15 +120,18 @@ class Registration:
         """Neighbouring residuals are correlated (same plane, same laser): features count for less than they are."""
         return 1.0 / (self.settings.correlation * max(fit.error**2, 0.25))
 
-    def _observed(self, H: Array, b: Array, fit: _Fit) -> tuple[Array, Array, Array]:
+    def _observed(self, H: Array, spurious: Array, b: Array, fit: _Fit) -> tuple[Array, Array, Array]:
         """H and b without the directions that the features do not observe, and those directions (A, 6).
 
         Solution remapping, Zhang et al., "On degeneracy of optimization-based state estimation problems", 2016, with
-        the eigenvalues as information in metres at a lever arm, so that the threshold is a position's sigma.
+        the eigenvalues as information in metres at a lever arm, so that the threshold is a position's sigma. A
+        direction is also unobserved when its information is of the size that noisy normals make out of nothing.
         """
         s = self.settings
-        values, vectors = np.linalg.eigh(H * self._trust(fit) / np.outer(s.scale, s.scale))
-        weak = values < s.degenerate_information
+        scale = np.outer(s.scale, s.scale) / self._trust(fit)
+        values, vectors = np.linalg.eigh(H / scale)
+        by_chance = np.einsum("ij,ik,kj->j", vectors, spurious / scale, vectors)
+        weak = (values < s.degenerate_information) | (values < s.degenerate_ratio * by_chance)
         if not weak.any():
             return H, b, np.zeros((0, 6))
         # xi * scale = metres: keep only its components along the strong eigenvectors
@@ -209,3 +214,12 @@ def _normal_equations(
         part = kernels.linearise(c.voxels.geometry, c.voxels.moments, c.points_lidar, T, c.slots, noise, H, b)
         cost, inliers, squares = cost + part[0], inliers + part[1], squares + part[2]
     return np.triu(H) + np.triu(H, 1).T, b, _Fit(cost, inliers, squares, matched)
+
+
+def _spurious_information(classes: tuple[_Class, _Class], T: Array, noise: Array) -> Array:
+    """(6, 6): what the fits' uncertain axes add to the normal equations of the last match, in the mean."""
+    H = np.zeros((6, 6))
+    for c in classes:
+        if len(c.points_lidar):
+            kernels.spurious(c.voxels.geometry, c.voxels.moments, c.points_lidar, T, c.slots, noise, H)
+    return np.triu(H) + np.triu(H, 1).T

@@ -45,6 +45,7 @@ class RegistrationSettings(Model):
     converged_m: float = 2e-4
     converged_rad: float = 2e-5
     degenerate_information: float = 400.0
+    degenerate_ratio: float = 10.0
     lever_m: float = Field(default=5.0, description="rotation counts as this lever arm when axes are compared")
 
     @property
