@@ -33,9 +33,15 @@ def stated_T_lidar_imu(spec: DriveSpec) -> Array:
     return T
 
 
+def imu_times_ns(spec: DriveSpec) -> NDArray[np.int64]:
+    """When samples are taken, (N,) since the drive's start: all of the drive and a few that cover the last scan."""
+    count = int((spec.duration_s + _TAIL_S) * spec.imu.rate_hz) + 1
+    return np.rint(np.arange(count) * 1e9 / spec.imu.rate_hz).astype(np.int64)
+
+
 def simulate_imu(spec: DriveSpec, trajectory: Trajectory) -> ImuSamples:
-    """All samples of the drive and a few more, which cover the last scan's end; stamps as the IMU tells them."""
-    t_s = np.arange(int((spec.duration_s + _TAIL_S) * spec.imu.rate_hz) + 1) / spec.imu.rate_hz
+    """All samples of the drive, as the IMU measures and stamps them."""
+    t_s = imu_times_ns(spec).astype(np.float64) * 1e-9
     gyro, accel = true_imu(spec, trajectory, t_s)
     faults, imu = spec.perturbations, spec.imu
     speed = np.linalg.norm(trajectory.motion(t_s).velocity_mps, axis=1)

@@ -13,13 +13,13 @@ import yaml
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from splitslam import se3
 from splitslam.scan import GnssFix, ImuSamples
 from splitslam.sim.gnss import simulate_gnss
-from splitslam.sim.imu import simulate_imu, stated_T_lidar_imu
+from splitslam.sim.imu import imu_times_ns, simulate_imu, stated_T_lidar_imu
 from splitslam.sim.lidar import Sweep, Vlp16, packets
 from splitslam.sim.spec import DriveSpec
-from splitslam.sim.trajectory import Trajectory, make_trajectory
+from splitslam.sim.trajectory import make_trajectory
+from splitslam.sim.truth import tum
 from splitslam.sim.world import make_world
 
 SCAN_TOPIC, IMU_TOPIC, GNSS_TOPIC = "/velodyne_packets", "/imu/data", "/gps/fix"
@@ -34,15 +34,16 @@ Message = tuple[int, Any]  # arrival time ns, message
 
 @dataclass(frozen=True)
 class SimRecording:
-    """Where a made drive lies: bag, robot file, truth (TUM: LiDAR pose at each scan's first firing)."""
+    """Where a made drive lies: bag, robot file, truth (TUM): T_world_lidar at each scan's first firing, and densely."""
 
     bag_path: Path
     robot_path: Path
     truth_path: Path
+    imu_truth_path: Path
 
 
 def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None] | None = None) -> SimRecording:
-    """Makes the drive and writes NAME.bag, NAME.yaml and NAME.tum into `out_dir` (made if missing, files replaced).
+    """Makes the drive and writes NAME.bag, .yaml, .tum and .imu_truth.tum into `out_dir` (made if missing).
 
     progress(done, total) is called after each scan. The same spec gives the same bytes. Raises InputError for an
     unknown kind of world.
@@ -51,12 +52,12 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
     trajectory = make_trajectory(spec.path, world.place, spec.duration_s)
     lidar = Vlp16(spec, world, trajectory)
     out_dir.mkdir(parents=True, exist_ok=True)
-    out = SimRecording(*(out_dir / f"{spec.name}.{kind}" for kind in ("bag", "yaml", "tum")))
-    truth: list[str] = []
+    out = SimRecording(*(out_dir / f"{spec.name}.{kind}" for kind in ("bag", "yaml", "tum", "imu_truth.tum")))
+    scans_ns: list[int] = []
 
     def watched() -> Iterator[Sweep]:
         for done, sweep in enumerate(lidar.sweeps(), start=1):
-            truth.append(_tum_line(spec, trajectory, sweep))
+            scans_ns.append(sweep.first_ns)
             yield sweep
             if progress is not None:
                 progress(done, lidar.scans)
@@ -65,7 +66,8 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
     part.unlink(missing_ok=True)
     _write_bag(part, spec, watched(), simulate_imu(spec, trajectory), simulate_gnss(spec, trajectory))
     part.replace(out.bag_path)
-    out.truth_path.write_text("".join(truth))
+    out.truth_path.write_text(tum(trajectory, spec.start_ns, np.array(scans_ns, np.int64)))
+    out.imu_truth_path.write_text(tum(trajectory, spec.start_ns, imu_times_ns(spec)))
     out.robot_path.write_text(robot_file(spec))
     return out
 
@@ -166,10 +168,3 @@ class _Messages:
 
     def _time(self, stamp_ns: int) -> Any:
         return self._types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-
-
-def _tum_line(spec: DriveSpec, trajectory: Trajectory, sweep: Sweep) -> str:
-    T = trajectory.T_world_lidar(sweep.first_ns * 1e-9)
-    stamp_ns = spec.start_ns + sweep.first_ns
-    numbers = " ".join(f"{v:.9f}" for v in (*T[:3, 3], *se3.quat_from_matrix(T[:3, :3])))
-    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} {numbers}\n"

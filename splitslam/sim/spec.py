@@ -23,11 +23,21 @@ class HeadTurn:
 
 
 @dataclass(frozen=True)
+class SpeedChange:
+    """From `at_s` on the speed goes smoothly to `to_mps` within `over_s`; changes follow each other in time."""
+
+    at_s: float
+    to_mps: float
+    over_s: float
+
+
+@dataclass(frozen=True)
 class PathSpec:
     """How the sensor moves: along a smooth curve through the waypoints, over the world's ground.
 
     stand_s: standing still at first. accel_s: from rest to `speed_mps`; both 0: the drive starts in motion.
-    gait: strength of the walker's bob, sway and nod; 0 is a vehicle, 1 a person.
+    speed_changes: what happens after that. gait: strength of the walker's bob, sway and nod; 0 is a vehicle, 1 a
+    person. dive_deg_per_mps2: how far a vehicle's nose dips when it brakes.
     """
 
     waypoints_m: tuple[tuple[float, float], ...]
@@ -36,7 +46,9 @@ class PathSpec:
     stand_s: float = 2.5
     accel_s: float = 1.5
     height_m: float = 1.15
+    speed_changes: tuple[SpeedChange, ...] = ()
     gait: float = 1.0
+    dive_deg_per_mps2: float = 0.0
     head_turns: tuple[HeadTurn, ...] = ()
 
     def __post_init__(self) -> None:
@@ -116,6 +128,7 @@ class DriveSpec:
     perturbations: Perturbations = field(default_factory=Perturbations)
     start_ns: int = 1_700_000_000_000_000_000
     gravity_mps2: float = 9.80665
+    what: str = ""  # for those who choose one
 
 
 DEMO = DriveSpec(

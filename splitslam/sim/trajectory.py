@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
 from splitslam.sim.place import Place
-from splitslam.sim.spec import PathSpec
+from splitslam.sim.spec import PathSpec, SpeedChange
 
 Array = NDArray[np.float64]
 
 _KNOT_S = 0.02
-_MARGIN_S = 1.0  # the spline goes on beyond both ends: no end effects inside the drive
+MARGIN_S = 1.0  # the spline goes on beyond both ends: no end effects inside the drive
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +76,10 @@ class Trajectory:
 
 def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajectory:
     """The way of `path` over the ground of `place`; good from 1 s before the start to 1 s after `duration_s`."""
-    t = np.arange(-_MARGIN_S, duration_s + _MARGIN_S + _KNOT_S, _KNOT_S)
+    t = np.arange(-MARGIN_S, duration_s + MARGIN_S + _KNOT_S, _KNOT_S)
     way, length_m = _arc_length_curve(path)
-    distance, going = _progress(path, t)
+    distance, speed, thrust = _progress(path, t)
+    going = np.minimum(speed / path.speed_mps, 1.0)
     if not path.closed and distance[-1] > length_m:
         raise ValueError(f"the drive covers {distance[-1]:.1f} m, but its open path has only {length_m:.1f} m")
     xy, tangent = way(distance)
@@ -95,19 +96,29 @@ def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajecto
     ground = place.ground_m(xy[:, 0], xy[:, 1])
     pitch = -np.arctan((place.ground_m(ahead[:, 0], ahead[:, 1]) - ground) / slope_m)
     roll = np.arctan((place.ground_m(left[:, 0], left[:, 1]) - ground) / slope_m)
+    pitch = pitch - np.radians(path.dive_deg_per_mps2) * thrust
     pitch = pitch + np.radians(0.8) * sway * np.sin(step + 0.4)
     roll = roll + np.radians(1.0) * sway * np.sin(step / 2 + 1.9)
     return Trajectory(make_interp_spline(t, np.column_stack([xy, z, yaw, pitch, roll]), k=5))
 
 
-def _progress(path: PathSpec, t: Array) -> tuple[Array, Array]:
-    """Distance gone (m) and the envelope of the gait (0 .. 1)."""
+def _progress(path: PathSpec, t: Array) -> tuple[Array, Array, Array]:
+    """Distance gone (m), speed (m/s) and acceleration along the way (m/s2)."""
     if path.accel_s == 0.0:
-        return path.speed_mps * (t - t[0]), np.ones_like(t)
-    u = np.clip((t - path.stand_s) / path.accel_s, 0.0, 1.0)
-    going = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
-    ramp = path.accel_s * u**4 * (2.5 - 3.0 * u + u * u)
-    return path.speed_mps * (ramp + np.maximum(t - path.stand_s - path.accel_s, 0.0)), going
+        changes, at_first = path.speed_changes, path.speed_mps
+    else:
+        changes, at_first = (SpeedChange(path.stand_s, path.speed_mps, path.accel_s), *path.speed_changes), 0.0
+    distance, speed, thrust = at_first * (t - t[0]), np.full_like(t, at_first), np.zeros_like(t)
+    before = at_first
+    for change in changes:
+        by = change.to_mps - before
+        u = np.clip((t - change.at_s) / change.over_s, 0.0, 1.0)
+        speed += by * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+        thrust += by / change.over_s * 30.0 * (u * (1.0 - u)) ** 2
+        ramp = change.over_s * u**4 * (2.5 - 3.0 * u + u * u)
+        distance += by * (ramp + np.maximum(t - change.at_s - change.over_s, 0.0))
+        before = change.to_mps
+    return distance, speed, thrust
 
 
 def _head_turns(path: PathSpec, t: Array) -> Array:

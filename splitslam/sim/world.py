@@ -11,13 +11,21 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from splitslam.errors import InputError
-from splitslam.sim.campus import build_campus
 from splitslam.sim.place import Place
+from splitslam.sim.places.campus import build_campus
+from splitslam.sim.places.corridor import build_corridor
+from splitslam.sim.places.park import build_park
+from splitslam.sim.places.street import build_street
 from splitslam.sim.spec import WorldSpec
 
 Array = NDArray[np.float64]
 
-WORLDS: dict[str, Callable[[int], Place]] = {"campus": build_campus}
+WORLDS: dict[str, Callable[[int], Place]] = {
+    "campus": build_campus,
+    "corridor": build_corridor,
+    "park": build_park,
+    "street": build_street,
+}
 
 
 @dataclass(frozen=True, eq=False)
