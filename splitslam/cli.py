@@ -117,6 +117,7 @@ def sim(
         str, typer.Option(metavar="LIST", help="none, middle or NAME[=STRENGTH],... (see --list).")
     ] = "none",
     seconds: Annotated[float | None, typer.Option(metavar="S", help="Only the first so many seconds.")] = None,
+    wheels: Annotated[bool, typer.Option("--wheels", help="With wheel odometry on /wheel/odom.")] = False,
     no_gnss: Annotated[bool, typer.Option("--no-gnss", help="Without a GNSS receiver.")] = False,
     list_all: Annotated[bool, typer.Option("--list", help="Print drives and perturbations.")] = False,
 ) -> None:
@@ -131,7 +132,8 @@ def sim(
         return
     if drive is None:
         raise InputError("splitslam sim: expected a drive (see `splitslam sim --list`)")
-    spec = command.drive_spec(drive, seed=seed, perturb=perturb, seconds=seconds, gnss=not no_gnss)
+    asked = {"seed": seed, "perturb": perturb, "seconds": seconds, "gnss": not no_gnss, "wheels": wheels}
+    spec = command.drive_spec(drive, **asked)
     from splitslam.run.progress import Progress
 
     with Progress() as progress:

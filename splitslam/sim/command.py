@@ -10,23 +10,26 @@ from splitslam.errors import InputError
 from splitslam.sim.drives import DRIVES
 from splitslam.sim.faults import FAULTS, parse
 from splitslam.sim.recorder import SimRecording, simulate
-from splitslam.sim.spec import DriveSpec
+from splitslam.sim.spec import DriveSpec, WheelSpec
 
 MIN_S = 1.0
 
 
-def drive_spec(name: str, *, seed: int, perturb: str, seconds: float | None, gnss: bool) -> DriveSpec:
+def drive_spec(name: str, *, seed: int, perturb: str, seconds: float | None, gnss: bool, wheels: bool) -> DriveSpec:
     """The drive as the command line asks for it. Raises InputError for what is not known or not possible."""
     if name not in DRIVES:
         raise InputError(f"drive {name!r} is not known: expected one of {', '.join(DRIVES)}")
     spec = DRIVES[name]
     if seconds is not None and not MIN_S <= seconds <= spec.duration_s:
         raise InputError(f"--seconds: expected {MIN_S:g} to {spec.duration_s:g} for {name}, found {seconds:g}")
+    if wheels and spec.path.gait > 0.0:
+        raise InputError(f"--wheels: expected a drive of a vehicle, {name} is on foot")
     return replace(
         spec,
         seed=seed,
         duration_s=spec.duration_s if seconds is None else seconds,
         gnss=spec.gnss if gnss else None,
+        wheels=WheelSpec() if wheels else None,
         perturbations=parse(perturb),
     )
 

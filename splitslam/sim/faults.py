@@ -20,16 +20,25 @@ class Fault:
 
 
 FAULTS: dict[str, Fault] = {
-    "people": Fault("walking_people", "people", (4, 8), 4, "people walking to and fro"),
-    "laser-bias": Fault("laser_bias_m", "m", (0.01, 0.02, 0.03), 0.01, "constant range error of each laser, std"),
-    "incidence-bias": Fault("incidence_bias_m", "m", (0.02, 0.05), 0.02, "ranges too long at grazing incidence"),
-    "imu-offset": Fault("imu_time_offset_s", "s", (0.002, 0.01, 0.02), 0.005, "IMU stamps late"),
+    "people": Fault("walking_people", "people", (3, 6), 4, "people walking to and fro"),
+    "laser-bias": Fault("laser_bias_m", "m", (0.005, 0.01, 0.02), 0.01, "constant range error of each laser, std"),
+    "incidence-bias": Fault("incidence_bias_m", "m", (0.01, 0.02, 0.05), 0.02, "range error at grazing incidence"),
+    "mixed-pixels": Fault("mixed_pixels_mrad", "mrad", (1.5, 3.0), 3.0, "width of the beam, which edges split"),
+    "glass": Fault("glass", "share", (0.5, 1.0), 1.0, "clean panes: beams go through or are mirrored"),
+    "imu-offset": Fault("imu_time_offset_s", "s", (0.002, 0.01, 0.02), 0.01, "IMU stamps late"),
     "imu-jitter": Fault("imu_time_jitter_s", "s", (0.001, 0.003), 0.001, "IMU stamps late at random, std"),
-    "imu-scale": Fault("imu_scale", "1", (0.003, 0.01), 0.003, "scale error of each IMU axis, std"),
+    "imu-scale": Fault("imu_scale", "share", (0.003, 0.01), 0.003, "scale error of each IMU axis, std"),
     "imu-misalignment": Fault("imu_misalignment_deg", "deg", (0.3, 1.0), 0.3, "IMU axes not square, std"),
-    "imu-vibration": Fault("imu_vibration_mps2", "m/s2", (1.0, 5.0), 1.0, "37 Hz shake while moving, amplitude"),
-    "extrinsic": Fault("extrinsic_error_deg", "deg", (0.5, 1.0, 2.0), 0.5, "rotation of T_lidar_imu misstated"),
-    "gnss-jump": Fault("gnss_jump_m", "m", (15.0,), 15.0, "the fix stands aside for 6 s"),
+    "imu-vibration": Fault("imu_vibration_mps2", "m/s2", (1.0, 3.0, 10.0), 3.0, "37 Hz shake while moving, amplitude"),
+    "imu-rate": Fault("imu_rate_hz", "Hz", (200.0, 100.0, 50.0), 100.0, "rate of the IMU; the robot file knows it"),
+    "imu-mounting": Fault("imu_random_mounting", "0 or 1", (1,), 1, "IMU turned at random; the robot file knows it"),
+    "extrinsic": Fault("extrinsic_error_deg", "deg", (0.5, 1.0, 2.0), 1.0, "rotation of T_lidar_imu misstated"),
+    "gnss-jump": Fault("gnss_jump_m", "m", (15.0,), 15.0, "the fix stands aside for 6 s, from 20 s on"),
+    "imu-dropout": Fault("imu_dropout_s", "s", (0.3, 1.0), 0.0, "no IMU samples for so long, from 20 s on"),
+    "scans-lost": Fault("scans_lost", "share", (0.05, 0.2), 0.0, "scans missing from the recording, at random"),
+    "blocked": Fault("blocked_deg", "deg", (90.0, 180.0), 0.0, "sector behind the sensor without returns"),
+    "wheel-slip": Fault("wheel_slip", "share", (0.2, 0.6), 0.0, "wheels spin or drag, 1.5 s in every 10 s"),
+    "kidnap": Fault("kidnap_m", "m", (5.0,), 0.0, "put so far ahead at 20 s and 35 s, blind for that scan"),
 }
 
 
