@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
-from splitslam.sim.places import corridor, park, street
+import numpy as np
+
+from splitslam.sim.places import corridor, park, quarter, street, twins
+from splitslam.sim.places.ways import Waypoints
 from splitslam.sim.spec import DEMO, DriveSpec, HeadTurn, LidarSpec, PathSpec, SpeedChange, WorldSpec
 from splitslam.sim.trajectory import MARGIN_S
 
@@ -76,5 +80,43 @@ PARK = DriveSpec(
         ),
     ),
 )
+TWINS = DriveSpec(
+    name="twins",
+    what="three identical corridors with identical rooms, then the first again: only that is a loop",
+    duration_s=60.0,
+    world=WorldSpec("twins"),
+    path=_speeds(
+        PathSpec(waypoints_m=twins.through_all_corridors(), closed=False, speed_mps=2.0, stand_s=2.0, accel_s=1.5,
+                 height_m=0.85, gait=0.0),
+        ((103.0, 0.0, 1.5),),
+    ),
+    gnss=None,
+)  # fmt: skip
+
+
+def _long_form(name: str, place: str, waypoints: Waypoints, scans: int, length_m: float, turn_deg: float) -> DriveSpec:
+    """A drive on foot with the figures of a row of the paper's Table I."""
+    duration_s, stand_s, accel_s = scans / 10.0, 2.5, 1.5
+    head_turns = [
+        HeadTurn(t_s, float(sign * turn_deg), 2.0)
+        for t_s, sign in zip(np.arange(12.0, duration_s - 5.0, 17.0).tolist(), itertools.cycle((1, -1)), strict=False)
+    ]
+    speed_mps = length_m / (duration_s - stand_s - accel_s / 2)
+    path = PathSpec(waypoints_m=waypoints, speed_mps=speed_mps, stand_s=stand_s, accel_s=accel_s, gait=0.6,
+                    head_turns=tuple(head_turns))  # fmt: skip
+    what = f"as long as the paper's {name.removeprefix('paper_').capitalize()} data: {scans} scans, {length_m:.0f} m"
+    return DriveSpec(name=name, what=what, duration_s=duration_s, world=WorldSpec(place), path=path)
+
+
+PAPER_WALKING = _long_form("paper_walking", "quarter", quarter.walking_way(), 6502, 799.0, 67.0)
+PAPER_CAMPUS = _long_form("paper_campus", "quarter", quarter.campus_way(), 9865, 1434.0, 55.0)
+PAPER_PARK = _long_form("paper_park", "park", park.long_round(), 24691, 2867.0, 123.0)
+
 CAMPUS = replace(DEMO, name="campus", what="on foot round a pavilion between buildings and trees, and the start again")
-DRIVES = {spec.name: spec for spec in (CAMPUS, PARK, CORRIDOR, STREET, MOVING_START)}
+DRIVES = {
+    spec.name: spec
+    for spec in (
+        *(CAMPUS, PARK, CORRIDOR, TWINS, STREET, MOVING_START),
+        *(PAPER_WALKING, PAPER_CAMPUS, PAPER_PARK),
+    )
+}

@@ -38,7 +38,7 @@ FAULTS: dict[str, Fault] = {
     "scans-lost": Fault("scans_lost", "share", (0.05, 0.2), 0.0, "scans missing from the recording, at random"),
     "blocked": Fault("blocked_deg", "deg", (90.0, 180.0), 0.0, "sector behind the sensor without returns"),
     "wheel-slip": Fault("wheel_slip", "share", (0.2, 0.6), 0.0, "wheels spin or drag, 1.5 s in every 10 s"),
-    "kidnap": Fault("kidnap_m", "m", (5.0,), 0.0, "put so far ahead at 20 s and 35 s, blind for that scan"),
+    "kidnap": Fault("kidnap_m", "m", (5.0,), 0.0, "put so far back at 20 s and 35 s, blind for that scan"),
 }
 
 

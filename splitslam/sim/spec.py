@@ -131,7 +131,7 @@ class Perturbations:
     gnss_jump_at_s: float = 20.0
     gnss_jump_over_s: float = 6.0
     wheel_slip: float = 0.0  # for 1.5 s in every 10 s the wheels spin (then: drag) by this share of the speed
-    kidnap_m: float = 0.0  # the sensor is so much farther along its way at once, unseen by the IMU, blind for one scan
+    kidnap_m: float = 0.0  # the sensor is at once so far back on its way, unseen by the IMU, blind for one scan
     kidnap_at_s: tuple[float, ...] = (20.05, 35.05)
 
 

@@ -93,10 +93,10 @@ def kidnaps_s(spec: DriveSpec) -> tuple[float, ...]:
 
 
 def drive_trajectory(spec: DriveSpec, place: Place) -> Trajectory:
-    """The way of the drive, kidnappings included: each puts the sensor farther along its way."""
+    """The way of the drive, kidnappings included: each puts the sensor back along its way."""
     breaks_s = kidnaps_s(spec)
-    ahead_m = np.arange(len(breaks_s) + 1) * spec.perturbations.kidnap_m
-    return Trajectory([_spline(spec.path, place, spec.duration_s, float(m)) for m in ahead_m], breaks_s)
+    back_m = np.arange(len(breaks_s) + 1) * spec.perturbations.kidnap_m
+    return Trajectory([_spline(spec.path, place, spec.duration_s, float(m)) for m in back_m], breaks_s)
 
 
 def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajectory:
@@ -104,12 +104,12 @@ def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajecto
     return Trajectory([_spline(path, place, duration_s, 0.0)])
 
 
-def _spline(path: PathSpec, place: Place, duration_s: float, ahead_m: float) -> BSpline:
-    """x, y, z, yaw, pitch, roll over time, the way's first `ahead_m` left out."""
+def _spline(path: PathSpec, place: Place, duration_s: float, back_m: float) -> BSpline:
+    """x, y, z, yaw, pitch, roll over time, `back_m` behind."""
     t = np.arange(-MARGIN_S, duration_s + MARGIN_S + _KNOT_S, _KNOT_S)
     way, length_m = _arc_length_curve(path)
     distance, speed, thrust = _progress(path, t)
-    distance = distance + ahead_m
+    distance = distance - back_m
     going = np.minimum(speed / path.speed_mps, 1.0)
     if not path.closed and distance[-1] > length_m:
         raise ValueError(f"the drive covers {distance[-1]:.1f} m, but its open path has only {length_m:.1f} m")

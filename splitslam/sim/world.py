@@ -16,7 +16,9 @@ from splitslam.sim.place import Place
 from splitslam.sim.places.campus import build_campus
 from splitslam.sim.places.corridor import build_corridor
 from splitslam.sim.places.park import build_park
+from splitslam.sim.places.quarter import build_quarter
 from splitslam.sim.places.street import build_street
+from splitslam.sim.places.twins import build_twins
 from splitslam.sim.spec import WorldSpec
 
 Array = NDArray[np.float64]
@@ -25,7 +27,9 @@ WORLDS: dict[str, Callable[[int], Place]] = {
     "campus": build_campus,
     "corridor": build_corridor,
     "park": build_park,
+    "quarter": build_quarter,
     "street": build_street,
+    "twins": build_twins,
 }
 
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from splitslam.sim.mesh import Mesh
 from splitslam.sim.place import Place
-from splitslam.sim.places.furniture import bench
-from splitslam.sim.places.materials import CLOTH, CONCRETE, GLASS, METAL, PAVING, PLASTER, SIGN, STONE, WOOD
+from splitslam.sim.places.furniture import bench, potted_plant, shelf
+from splitslam.sim.places.materials import CONCRETE, GLASS, METAL, PAVING, PLASTER, SIGN, STONE, WOOD
 from splitslam.sim.places.ways import Waypoints, rounded
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def _lobby(mesh: Mesh, rng: np.random.Generator) -> None:
         bench(mesh, -2.0 - 2.6 * k, -7.9 + float(rng.normal(0, 0.1)), float(rng.normal(np.pi, 0.05)))
     mesh.box((-13.2, 0.5, 0.0), (0.6, 1.4, 2.3), reflectivity=WOOD)
     for x, y in ((-12.8, 7.8), (-1.2, 7.9)):
-        _plant(mesh, x, y, rng)
+        potted_plant(mesh, x, y, rng)
     mesh.box((-0.35, 3.0, 1.7), (0.04, 1.0, 0.6), reflectivity=SIGN)
 
 
@@ -101,19 +101,10 @@ def _hall(mesh: Mesh, rng: np.random.Generator) -> None:
     for x in (5.0, 12.0):
         for y in (-3.2, 3.2, 9.0):
             mesh.box((x, y, 0.0), (0.55, 0.55, _ROOM_HIGH_M), reflectivity=CONCRETE)
-    for row, y in enumerate((-9.8, -7.6)):  # shelves with boxes
+    for y in (-9.8, -7.6):
         for k in range(4):
-            x = 4.5 + 4.4 * k
-            for z in (0.1, 1.2, 2.3):
-                mesh.box((x, y, z), (3.6, 0.9, 0.06), reflectivity=METAL)
-                for box in np.arange(-1.5, 1.6, 0.75):
-                    if rng.random() < 0.7:
-                        size = tuple(float(v) for v in rng.uniform((0.4, 0.4, 0.3), (0.7, 0.8, 0.9)))
-                        mesh.box((x + float(box), y, z + 0.06), (size[0], size[1], size[2]), float(rng.normal(0, 0.05)),
-                                 reflectivity=int(rng.choice([WOOD, CLOTH, PLASTER])))  # fmt: skip
-            for post in (-1.75, 1.75):
-                for side in (-0.42, 0.42):
-                    mesh.box((x + post, y + side, 0.0), (0.08, 0.08, 3.2), reflectivity=METAL)
+            with mesh.at((4.5 + 4.4 * k, y, 0.0)):
+                shelf(mesh, rng)
     for step in range(9):  # stairs to a gallery
         mesh.box((15.0 + 0.3 * step, 9.9, 0.0), (0.3, 1.8, 0.18 * (step + 1)), reflectivity=STONE)
     mesh.box((20.7, 9.9, 0.0), (6.0, 1.8, 1.62), reflectivity=STONE)
@@ -122,10 +113,5 @@ def _hall(mesh: Mesh, rng: np.random.Generator) -> None:
         mesh.box((float(x), float(y), 0.0), (1.2, 0.8, float(rng.uniform(0.15, 1.4))), float(rng.uniform(0, 3)),
                  reflectivity=WOOD)  # fmt: skip
     for x, y in ((22.6, -1.0), (2.0, 9.6)):
-        _plant(mesh, x, y, rng)
+        potted_plant(mesh, x, y, rng)
     mesh.box((23.7, 2.0, 0.0), (0.4, 2.4, 2.4), reflectivity=METAL)
-
-
-def _plant(mesh: Mesh, x: float, y: float, rng: np.random.Generator) -> None:
-    mesh.frustum((x, y, 0.0), (0.3, 0.38), 0.55, 12, reflectivity=CONCRETE)
-    mesh.blob((x, y, 1.1), (0.5, 0.5, 0.7), rng, holes=0.3, fineness=2, reflectivity=50)

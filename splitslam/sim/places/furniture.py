@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitslam.sim.mesh import Mesh
-from splitslam.sim.places.materials import CONCRETE, GLASS, LEAVES, METAL, RUBBER, SIGN, WOOD
+from splitslam.sim.places.materials import CLOTH, CONCRETE, GLASS, LEAVES, METAL, PLASTER, RUBBER, SIGN, WOOD
 
 
 def lamp(mesh: Mesh, x: float, y: float, height_m: float) -> None:
@@ -76,3 +76,23 @@ def bush(mesh: Mesh, x: float, y: float, size_m: float, rng: np.random.Generator
         dx, dy = rng.normal(0.0, 0.4 * size_m, 2)
         r = size_m * float(rng.uniform(0.6, 1.0))
         mesh.blob((x + dx, y + dy, 0.55 * r), (r, r, 0.8 * r), rng, holes=0.3, fineness=2, reflectivity=LEAVES)
+
+
+def potted_plant(mesh: Mesh, x: float, y: float, rng: np.random.Generator) -> None:
+    """A tub and leaves, chest-high."""
+    mesh.frustum((x, y, 0.0), (0.3, 0.38), 0.55, 12, reflectivity=CONCRETE)
+    mesh.blob((x, y, 1.1), (0.5, 0.5, 0.7), rng, holes=0.3, fineness=2, reflectivity=LEAVES)
+
+
+def shelf(mesh: Mesh, rng: np.random.Generator) -> None:
+    """3.6 m wide, 0.9 m deep, boxes on three boards; middle of the foot at the origin of the mesh's frame."""
+    for z in (0.1, 1.2, 2.3):
+        mesh.box((0.0, 0.0, z), (3.6, 0.9, 0.06), reflectivity=METAL)
+        for x in np.arange(-1.5, 1.6, 0.75).tolist():
+            if rng.random() < 0.7:
+                length, width, height = rng.uniform((0.4, 0.4, 0.3), (0.7, 0.8, 0.9)).tolist()
+                material = int(rng.choice([WOOD, CLOTH, PLASTER]))
+                mesh.box((x, 0.0, z + 0.06), (length, width, height), float(rng.normal(0, 0.05)), reflectivity=material)
+    for x in (-1.75, 1.75):
+        for y in (-0.42, 0.42):
+            mesh.box((x, y, 0.0), (0.08, 0.08, 3.2), reflectivity=METAL)

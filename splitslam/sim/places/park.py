@@ -41,7 +41,7 @@ def _points(x: Array, y: Array) -> Waypoints:
 
 def height_m(x: Array, y: Array) -> Array:
     """Two hills and rolling ground; the ways follow it."""
-    hills = 21.0 * np.exp(-((x - 95.0) ** 2 + (y - 20.0) ** 2) / 55.0**2)
+    hills = 18.7 * np.exp(-((x - 95.0) ** 2 + (y - 20.0) ** 2) / 55.0**2)
     hills = hills + 7.0 * np.exp(-((x + 60.0) ** 2 + (y + 70.0) ** 2) / 30.0**2)
     rolling = 0.55 * np.sin(0.11 * x + 0.3) * np.cos(0.09 * y) + 0.22 * np.sin(0.31 * x - 0.23 * y)
     return hills + rolling - 0.4 * np.cos(0.05 * y)
