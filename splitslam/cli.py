@@ -108,6 +108,41 @@ def demo(
     _show_run(report, out, as_json)
 
 
+@app.command("sim")
+def sim(
+    drive: Annotated[str | None, typer.Argument(metavar="DRIVE", help="One of those that --list shows.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where bag, robot file and truth go.")] = Path("out/sim"),
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise and faults, not of the place.")] = 1,
+    perturb: Annotated[
+        str, typer.Option(metavar="LIST", help="none, middle or NAME[=STRENGTH],... (see --list).")
+    ] = "none",
+    seconds: Annotated[float | None, typer.Option(metavar="S", help="Only the first so many seconds.")] = None,
+    wheels: Annotated[bool, typer.Option("--wheels", help="With wheel odometry on /wheel/odom.")] = False,
+    no_gnss: Annotated[bool, typer.Option("--no-gnss", help="Without a GNSS receiver.")] = False,
+    list_all: Annotated[bool, typer.Option("--list", help="Print drives and perturbations.")] = False,
+) -> None:
+    """Record a drive in a made world, with its exact truth and, if wanted, faults of its sensors."""
+    from splitslam.run.options import check_installed
+
+    check_installed(("sim",))
+    from splitslam.sim import command
+
+    if list_all:
+        print(command.listing())
+        return
+    if drive is None:
+        raise InputError("splitslam sim: expected a drive (see `splitslam sim --list`)")
+    asked = {"seed": seed, "perturb": perturb, "seconds": seconds, "gnss": not no_gnss, "wheels": wheels}
+    spec = command.drive_spec(drive, **asked)
+    from splitslam.run.progress import Progress
+
+    with Progress() as progress:
+        progress.stage(f"making {drive}")
+        made = command.make(spec, out, progress.made)
+    for path in (made.bag_path, made.robot_path, made.truth_path, made.imu_truth_path):
+        print(path)
+
+
 def _show_run(report: dict[str, Any], out: Path, as_json: bool) -> None:
     import json
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitslam.sim import people
+from splitslam.sim.beams import Beams
 from splitslam.sim.seeds import stream
 from splitslam.sim.spec import DriveSpec
-from splitslam.sim.trajectory import Trajectory
+from splitslam.sim.trajectory import Trajectory, kidnaps_s
 from splitslam.sim.world import Hits, World
 
 Array = NDArray[np.float64]
@@ -63,9 +63,8 @@ class Vlp16:
 
     def __init__(self, spec: DriveSpec, world: World, trajectory: Trajectory) -> None:
         self._spec = spec
-        self._world = world
         self._trajectory = trajectory
-        self._walkers = people.walkers(world.place, spec.perturbations.walking_people, spec.seed)
+        self._beams = Beams(spec, world)
         bias = stream(spec.seed, "laser bias").normal(0.0, 1.0, LASERS)
         self._laser_bias_m = spec.perturbations.laser_bias_m * bias
 
@@ -75,15 +74,16 @@ class Vlp16:
         return int(self._spec.duration_s * self._spec.lidar.rate_hz + 1e-9)
 
     def sweeps(self) -> Iterator[Sweep]:
-        """All turns in order."""
-        for k in range(self.scans):
+        """All turns in order, without those that are lost."""
+        lost = stream(self._spec.seed, "lost scans").random(self.scans) < self._spec.perturbations.scans_lost
+        for k in np.flatnonzero(~lost).tolist():
             yield self._sweep(k)
 
     def rays(self, firings: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """Firing numbers (F,) -> times (F * 16,) s, origins and directions (F * 16, 3) in the world frame."""
         ns = firings[:, None] * FIRING_NS + np.arange(LASERS) * LASER_NS
         t_s = ns.ravel().astype(np.float64) * 1e-9
-        azimuth = -2 * np.pi * self._spec.lidar.rate_hz * t_s  # the sensor turns clockwise, seen from above
+        azimuth = self._azimuth(t_s)
         elevation = np.tile(np.radians(ELEVATIONS_DEG), len(firings))
         flat = np.cos(elevation)
         direction_lidar = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
@@ -94,16 +94,24 @@ class Vlp16:
     def _sweep(self, k: int) -> Sweep:
         first, end = (_first_packet(n, self._spec.lidar.rate_hz) * PACKET_FIRINGS for n in (k, k + 1))
         t_s, origins, directions = self.rays(np.arange(first, end))
-        hits = self._world.cast(origins, directions)
-        range_m, cosine, reflectivity = hits.range_m, hits.cos_incidence, hits.reflectivity
-        for walker in self._walkers:
-            to_person = people.ranges_to_person(walker, self._world.place, t_s, origins, directions)
-            nearer = to_person < range_m
-            range_m = np.where(nearer, to_person, range_m)
-            cosine = np.where(nearer, 0.8, cosine)  # round bodies: a mean tilt will do
-            reflectivity = np.where(nearer, people.REFLECTIVITY, reflectivity).astype(np.uint8)
-        measured_m, intensity = self._measure(k, Hits(range_m, cosine, reflectivity))
-        return Sweep(first, measured_m.reshape(-1, LASERS), intensity.reshape(-1, LASERS))
+        range_m, intensity = self._measure(k, self._beams.cast(k, t_s, origins, directions))
+        hidden = self._hidden(t_s) | self._blind(k)
+        range_m[hidden], intensity[hidden] = 0.0, 0
+        return Sweep(first, range_m.reshape(-1, LASERS), intensity.reshape(-1, LASERS))
+
+    def _hidden(self, t_s: Array) -> NDArray[np.bool_]:
+        """Beams (N,) into the sector that is blocked: so many degrees wide, behind the sensor."""
+        behind = np.abs(np.remainder(self._azimuth(t_s), 2 * np.pi) - np.pi)
+        return behind < np.radians(self._spec.perturbations.blocked_deg) / 2
+
+    def _blind(self, k: int) -> bool:
+        """In the scan in which it is kidnapped the sensor sees nothing."""
+        start = k / self._spec.lidar.rate_hz
+        return any(start <= t < start + 1 / self._spec.lidar.rate_hz for t in kidnaps_s(self._spec))
+
+    def _azimuth(self, t_s: Array) -> Array:
+        """Where the beams point, rad, left of the sensor's x axis: it turns clockwise, seen from above."""
+        return -2 * np.pi * self._spec.lidar.rate_hz * t_s
 
     def _measure(self, k: int, hits: Hits) -> tuple[Array, NDArray[np.uint8]]:
         """What the sensor reports of true hits: noise, biases, returns too weak, too near or too far."""
@@ -114,7 +122,7 @@ class Vlp16:
         tilt = np.arccos(np.clip(hits.cos_incidence, np.cos(_MAX_TILT), 1.0))
         bias = self._spec.perturbations.incidence_bias_m * np.tan(tilt) / np.tan(_MAX_TILT)
         range_m = true_m + lidar.range_noise_m * noise[0] + np.tile(self._laser_bias_m, len(true_m) // LASERS) + bias
-        strength = hits.reflectivity * hits.cos_incidence * np.exp(0.3 * noise[1]) / np.maximum(true_m, 0.1) ** 2
+        strength = hits.strength * np.exp(0.3 * noise[1])
         seen = (strength > lidar.detection) & (range_m >= lidar.min_range_m) & (range_m <= lidar.max_range_m)
         intensity = np.clip(hits.reflectivity * (0.6 + 0.4 * hits.cos_incidence) + 2.0 * noise[2], 1.0, 255.0)
         return np.where(seen, range_m, 0.0), np.where(seen, intensity, 0.0).astype(np.uint8)

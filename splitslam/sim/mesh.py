@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
@@ -20,11 +21,27 @@ class Mesh:
     def __init__(self) -> None:
         self._triangles: list[Array] = []
         self._reflectivity: list[NDArray[np.uint8]] = []
+        self._frames: list[tuple[Point, float]] = []
 
     def add(self, triangles: Array, reflectivity: int) -> None:
         """triangles (K, 3, 3): corner, coordinate."""
+        for base, yaw_rad in reversed(self._frames):
+            triangles = _placed(triangles, base, yaw_rad)
         self._triangles.append(triangles)
         self._reflectivity.append(np.full(len(triangles), reflectivity, np.uint8))
+
+    @contextmanager
+    def at(self, base: Point, yaw_rad: float = 0.0) -> Iterator[None]:
+        """What is added inside stands in a frame of its own: origin at `base`, x axis turned by `yaw_rad`. Nests."""
+        self._frames.append((base, yaw_rad))
+        try:
+            yield
+        finally:
+            self._frames.pop()
+
+    def quads(self, corners: Array, *, reflectivity: int) -> None:
+        """corners (K, 4, 3), each quad's in order round it."""
+        self.add(np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]]), reflectivity)
 
     def box(self, base: Point, size: Point, yaw_rad: float = 0.0, *, reflectivity: int) -> None:
         """Standing on `base` (the middle of its floor)."""
@@ -57,22 +74,22 @@ class Mesh:
         self.add(_quads(points, np.array([[0, 2, 5, 4], [1, 3, 5, 4], [0, 2, 3, 1]])), reflectivity)
         self.add(points[np.array([[0, 1, 4], [2, 3, 5]])], reflectivity)
 
-    def blob(self, centre: Point, radii: Point, rng: np.random.Generator, holes: float = 0.0, *, reflectivity: int)\
-            -> None:  # fmt: skip
+    def blob(self, centre: Point, radii: Point, rng: np.random.Generator, holes: float = 0.0, fineness: int = 3, *,
+             reflectivity: int) -> None:  # fmt: skip
         """A bush or a crown: a bumpy ball; a share `holes` of its faces is missing, so that rays get inside."""
-        points, faces = _icosphere(3)
+        points, faces = _icosphere(fineness)
         bumps = sum(np.cos(points @ rng.normal(0.0, k, 3) + rng.uniform(0, 2 * np.pi)) / k for k in (2.0, 4.0, 8.0))
         points = points * (1.0 + 0.16 * bumps + rng.normal(0.0, 0.05, len(points)))[:, None] * radii + centre
         self.add(points[faces[rng.random(len(faces)) >= holes]], reflectivity)
 
-    def ground(self, half_m: float, step_m: float, height_m: Callable[[Array, Array], Array], *, reflectivity: int)\
-            -> None:  # fmt: skip
-        """A height field over the square |x|, |y| <= half_m."""
-        axis = np.arange(-half_m, half_m + step_m / 2, step_m)
-        x, y = np.meshgrid(axis, axis, indexing="ij")
+    def ground(self, low: tuple[float, float], high: tuple[float, float], step_m: float,
+               height_m: Callable[[Array, Array], Array], *, reflectivity: int) -> None:  # fmt: skip
+        """A height field over the rectangle from corner `low` to corner `high`."""
+        x_axis, y_axis = (np.arange(a, b + step_m / 2, step_m) for a, b in zip(low, high, strict=True))
+        x, y = np.meshgrid(x_axis, y_axis, indexing="ij")
         points = np.stack([x, y, height_m(x, y)], axis=-1).reshape(-1, 3)
-        n = len(axis)
-        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+        n = len(y_axis)
+        corner = (np.arange(len(x_axis) - 1)[:, None] * n + np.arange(n - 1)).ravel()
         self.add(_quads(points, np.stack([corner, corner + n, corner + n + 1, corner + 1], axis=1)), reflectivity)
 
     def arrays(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

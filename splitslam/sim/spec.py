@@ -23,11 +23,21 @@ class HeadTurn:
 
 
 @dataclass(frozen=True)
+class SpeedChange:
+    """From `at_s` on the speed goes smoothly to `to_mps` within `over_s`; changes follow each other in time."""
+
+    at_s: float
+    to_mps: float
+    over_s: float
+
+
+@dataclass(frozen=True)
 class PathSpec:
     """How the sensor moves: along a smooth curve through the waypoints, over the world's ground.
 
     stand_s: standing still at first. accel_s: from rest to `speed_mps`; both 0: the drive starts in motion.
-    gait: strength of the walker's bob, sway and nod; 0 is a vehicle, 1 a person.
+    speed_changes: what happens after that. gait: strength of the walker's bob, sway and nod; 0 is a vehicle, 1 a
+    person. dive_deg_per_mps2: how far a vehicle's nose dips when it brakes.
     """
 
     waypoints_m: tuple[tuple[float, float], ...]
@@ -36,7 +46,9 @@ class PathSpec:
     stand_s: float = 2.5
     accel_s: float = 1.5
     height_m: float = 1.15
+    speed_changes: tuple[SpeedChange, ...] = ()
     gait: float = 1.0
+    dive_deg_per_mps2: float = 0.0
     head_turns: tuple[HeadTurn, ...] = ()
 
     def __post_init__(self) -> None:
@@ -84,21 +96,43 @@ class GnssSpec:
 
 
 @dataclass(frozen=True)
+class WheelSpec:
+    """Wheel odometry of frame `body`, which lies below and behind the sensor: forward speed and yaw rate."""
+
+    rate_hz: float = 50.0
+    scale_error: float = 0.01  # standard deviation, forward speed and yaw rate each
+    speed_noise_mps: float = 0.02
+    yaw_rate_noise_radps: float = 0.01
+    t_body_lidar_m: tuple[float, float] = (0.25, 0.0)  # ahead and left; the height is that of the path
+
+
+@dataclass(frozen=True)
 class Perturbations:
     """What the robot file does not tell. Every one is a switch of its own: 0 is off."""
 
     walking_people: int = 0
     laser_bias_m: float = 0.0  # standard deviation over the 16 lasers of a constant range error
     incidence_bias_m: float = 0.0  # range error at grazing incidence, growing with tan(incidence) up to 80 deg
+    mixed_pixels_mrad: float = 0.0  # the beam's width: at an edge a part of it goes past
+    glass: float = 0.0  # how clean panes are: 1 lets beams through or mirrors them and makes no echo of its own
+    blocked_deg: float = 0.0  # width of a sector behind the sensor that gives no returns
+    scans_lost: float = 0.0  # share of scans that are not in the recording
+    imu_rate_hz: float = 0.0  # the IMU's rate instead of its own; the robot file knows it
+    imu_random_mounting: int = 0  # 1: any orientation; the robot file knows it
     imu_time_offset_s: float = 0.0  # stamps say later than it was
     imu_time_jitter_s: float = 0.0  # standard deviation; stamps stay in order
     imu_scale: float = 0.0  # relative, standard deviation, each axis
     imu_misalignment_deg: float = 0.0  # standard deviation, each axis pair
     imu_vibration_mps2: float = 0.0  # amplitude of a 37 Hz shake while moving (a tenth of it, in rad/s, turns)
+    imu_dropout_s: float = 0.0  # so long no sample comes
+    imu_dropout_at_s: float = 20.0
     extrinsic_error_deg: float = 0.0  # T_lidar_imu of the robot file is off by this angle
     gnss_jump_m: float = 0.0
     gnss_jump_at_s: float = 20.0
     gnss_jump_over_s: float = 6.0
+    wheel_slip: float = 0.0  # for 1.5 s in every 10 s the wheels spin (then: drag) by this share of the speed
+    kidnap_m: float = 0.0  # the sensor is at once so far back on its way, unseen by the IMU, blind for one scan
+    kidnap_at_s: tuple[float, ...] = (20.05, 35.05)
 
 
 @dataclass(frozen=True)
@@ -113,9 +147,11 @@ class DriveSpec:
     lidar: LidarSpec = field(default_factory=LidarSpec)
     imu: ImuSpec = field(default_factory=ImuSpec)
     gnss: GnssSpec | None = field(default_factory=GnssSpec)
+    wheels: WheelSpec | None = None
     perturbations: Perturbations = field(default_factory=Perturbations)
     start_ns: int = 1_700_000_000_000_000_000
     gravity_mps2: float = 9.80665
+    what: str = ""  # for those who choose one
 
 
 DEMO = DriveSpec(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
 from splitslam.sim.place import Place
-from splitslam.sim.spec import PathSpec
+from splitslam.sim.spec import DriveSpec, PathSpec, SpeedChange
 
 Array = NDArray[np.float64]
 
 _KNOT_S = 0.02
-_MARGIN_S = 1.0  # the spline goes on beyond both ends: no end effects inside the drive
+MARGIN_S = 1.0  # the spline goes on beyond both ends: no end effects inside the drive
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +32,28 @@ class Motion:
 
 
 class Trajectory:
-    """T_world_lidar as a function of the time since the drive's start, s."""
+    """T_world_lidar as a function of the time since the drive's start, s.
 
-    def __init__(self, spline: BSpline) -> None:
-        self._value = spline
-        self._rate = spline.derivative(1)
-        self._second = spline.derivative(2)
+    Pieces follow each other at `breaks_s`: there the sensor is at once elsewhere.
+    """
+
+    def __init__(self, splines: Sequence[BSpline], breaks_s: Sequence[float] = ()) -> None:
+        self._derivatives = [[spline.derivative(n) if n else spline for spline in splines] for n in range(3)]
+        self._breaks_s = np.array(breaks_s, float)
 
     def poses(self, t_s: Array) -> tuple[Array, Array]:
         """(N,) -> R_world_lidar (N, 3, 3), position (N, 3), m."""
-        state = self._value(t_s)
+        state = self._at(t_s, 0)
         return _rotation(*state[:, 3:].T), state[:, :3]
+
+    def _at(self, t_s: Array, derivative: int) -> Array:
+        """(N,) -> (N, 6): the derivative of x, y, z, yaw, pitch, roll."""
+        splines = self._derivatives[derivative]
+        piece = np.searchsorted(self._breaks_s, t_s, side="right")
+        out = np.empty((len(t_s), 6))
+        for k in np.unique(piece).tolist():
+            out[piece == k] = splines[k](t_s[piece == k])
+        return out
 
     def T_world_lidar(self, t_s: float) -> Array:
         """One pose, (4, 4)."""
@@ -52,7 +64,7 @@ class Trajectory:
 
     def motion(self, t_s: Array) -> Motion:
         """(N,) -> pose and its exact derivatives."""
-        x, v, a = self._value(t_s), self._rate(t_s), self._second(t_s)
+        x, v, a = (self._at(t_s, derivative) for derivative in range(3))
         _, pitch, roll = x[:, 3:].T
         dyaw, dpitch, droll = v[:, 3:].T
         ddyaw, ddpitch, ddroll = a[:, 3:].T
@@ -74,11 +86,31 @@ class Trajectory:
         return Motion(_rotation(*x[:, 3:].T), x[:, :3], v[:, :3], a[:, :3], omega, alpha)
 
 
+def kidnaps_s(spec: DriveSpec) -> tuple[float, ...]:
+    """When the sensor is put elsewhere."""
+    faults = spec.perturbations
+    return tuple(t for t in faults.kidnap_at_s if faults.kidnap_m > 0.0 and t < spec.duration_s)
+
+
+def drive_trajectory(spec: DriveSpec, place: Place) -> Trajectory:
+    """The way of the drive, kidnappings included: each puts the sensor back along its way."""
+    breaks_s = kidnaps_s(spec)
+    back_m = np.arange(len(breaks_s) + 1) * spec.perturbations.kidnap_m
+    return Trajectory([_spline(spec.path, place, spec.duration_s, float(m)) for m in back_m], breaks_s)
+
+
 def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajectory:
     """The way of `path` over the ground of `place`; good from 1 s before the start to 1 s after `duration_s`."""
-    t = np.arange(-_MARGIN_S, duration_s + _MARGIN_S + _KNOT_S, _KNOT_S)
+    return Trajectory([_spline(path, place, duration_s, 0.0)])
+
+
+def _spline(path: PathSpec, place: Place, duration_s: float, back_m: float) -> BSpline:
+    """x, y, z, yaw, pitch, roll over time, `back_m` behind."""
+    t = np.arange(-MARGIN_S, duration_s + MARGIN_S + _KNOT_S, _KNOT_S)
     way, length_m = _arc_length_curve(path)
-    distance, going = _progress(path, t)
+    distance, speed, thrust = _progress(path, t)
+    distance = distance - back_m
+    going = np.minimum(speed / path.speed_mps, 1.0)
     if not path.closed and distance[-1] > length_m:
         raise ValueError(f"the drive covers {distance[-1]:.1f} m, but its open path has only {length_m:.1f} m")
     xy, tangent = way(distance)
@@ -95,19 +127,29 @@ def make_trajectory(path: PathSpec, place: Place, duration_s: float) -> Trajecto
     ground = place.ground_m(xy[:, 0], xy[:, 1])
     pitch = -np.arctan((place.ground_m(ahead[:, 0], ahead[:, 1]) - ground) / slope_m)
     roll = np.arctan((place.ground_m(left[:, 0], left[:, 1]) - ground) / slope_m)
+    pitch = pitch - np.radians(path.dive_deg_per_mps2) * thrust
     pitch = pitch + np.radians(0.8) * sway * np.sin(step + 0.4)
     roll = roll + np.radians(1.0) * sway * np.sin(step / 2 + 1.9)
-    return Trajectory(make_interp_spline(t, np.column_stack([xy, z, yaw, pitch, roll]), k=5))
+    return make_interp_spline(t, np.column_stack([xy, z, yaw, pitch, roll]), k=5)
 
 
-def _progress(path: PathSpec, t: Array) -> tuple[Array, Array]:
-    """Distance gone (m) and the envelope of the gait (0 .. 1)."""
+def _progress(path: PathSpec, t: Array) -> tuple[Array, Array, Array]:
+    """Distance gone (m), speed (m/s) and acceleration along the way (m/s2)."""
     if path.accel_s == 0.0:
-        return path.speed_mps * (t - t[0]), np.ones_like(t)
-    u = np.clip((t - path.stand_s) / path.accel_s, 0.0, 1.0)
-    going = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
-    ramp = path.accel_s * u**4 * (2.5 - 3.0 * u + u * u)
-    return path.speed_mps * (ramp + np.maximum(t - path.stand_s - path.accel_s, 0.0)), going
+        changes, at_first = path.speed_changes, path.speed_mps
+    else:
+        changes, at_first = (SpeedChange(path.stand_s, path.speed_mps, path.accel_s), *path.speed_changes), 0.0
+    distance, speed, thrust = at_first * (t - t[0]), np.full_like(t, at_first), np.zeros_like(t)
+    before = at_first
+    for change in changes:
+        by = change.to_mps - before
+        u = np.clip((t - change.at_s) / change.over_s, 0.0, 1.0)
+        speed += by * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+        thrust += by / change.over_s * 30.0 * (u * (1.0 - u)) ** 2
+        ramp = change.over_s * u**4 * (2.5 - 3.0 * u + u * u)
+        distance += by * (ramp + np.maximum(t - change.at_s - change.over_s, 0.0))
+        before = change.to_mps
+    return distance, speed, thrust
 
 
 def _head_turns(path: PathSpec, t: Array) -> Array:

@@ -49,6 +49,12 @@ def finished(*arguments: object, fake: tuple[str, str] | None = None) -> tuple[i
         (["run", "a.bag", "--robot", "c", "--out", "b", "--max-scans", "many"], "'--max-scans'"),
         (["run", "a.bag", "--robot", "c", "--out", "b"], "a.bag: expected a recording"),
         (["demo", "--seconds", "1"], "--seconds: expected at least 5, found 1"),
+        (["sim"], "splitslam sim: expected a drive"),
+        (["sim", "moon"], "drive 'moon' is not known: expected one of campus,"),
+        (["sim", "campus", "--perturb", "rain"], "--perturb: 'rain' is not known: expected none, middle or people,"),
+        (["sim", "campus", "--perturb", "people=some"], "--perturb: people=some: expected a number of people"),
+        (["sim", "campus", "--seconds", "4000"], "--seconds: expected 1 to"),
+        (["sim", "campus", "--out", "/proc/nowhere"], "--out /proc/nowhere: expected a folder that can be written"),
         (["demo", "--picture", "/nowhere/a.png"], "--picture /nowhere/a.png: expected a file in a folder that exists"),
     ],
 )

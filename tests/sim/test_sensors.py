@@ -9,11 +9,13 @@ import pytest
 
 from splitslam import se3
 from splitslam.errors import InputError
+from splitslam.sim.faults import FAULTS
 from splitslam.sim.gnss import enu_to_wgs84, simulate_gnss
 from splitslam.sim.imu import T_lidar_imu, simulate_imu, stated_T_lidar_imu
 from splitslam.sim.lidar import Vlp16
-from splitslam.sim.spec import DriveSpec, ImuSpec, Perturbations, WorldSpec
-from splitslam.sim.trajectory import make_trajectory
+from splitslam.sim.spec import DriveSpec, ImuSpec, Perturbations, WheelSpec, WorldSpec
+from splitslam.sim.trajectory import drive_trajectory, make_trajectory
+from splitslam.sim.wheels import simulate_wheels
 from splitslam.sim.world import make_world
 from tests.sim.drives import SHORT
 
@@ -97,45 +99,69 @@ def test_an_unknown_world_is_named() -> None:
         make_world(WorldSpec(kind="moon"))
 
 
-SWITCHES = {
-    "walking_people": (6, "lidar"),
-    "laser_bias_m": (0.02, "lidar"),
-    "incidence_bias_m": (0.02, "lidar"),
-    "imu_time_offset_s": (0.01, "imu"),
-    "imu_time_jitter_s": (0.001, "imu"),
-    "imu_scale": (0.01, "imu"),
-    "imu_misalignment_deg": (1.0, "imu"),
-    "imu_vibration_mps2": (1.0, "imu"),
-    "extrinsic_error_deg": (2.0, "robot"),
-    "gnss_jump_m": (15.0, "gnss"),
+SWITCHES: dict[str, tuple[float, set[str]]] = {
+    "walking_people": (6, {"lidar"}),
+    "laser_bias_m": (0.02, {"lidar"}),
+    "incidence_bias_m": (0.02, {"lidar"}),
+    "mixed_pixels_mrad": (3.0, {"lidar"}),
+    "glass": (1.0, {"lidar"}),
+    "blocked_deg": (180.0, {"lidar"}),
+    "scans_lost": (0.5, {"lidar"}),
+    "imu_rate_hz": (100.0, {"imu"}),
+    "imu_random_mounting": (1, {"imu", "robot"}),
+    "imu_time_offset_s": (0.01, {"imu"}),
+    "imu_time_jitter_s": (0.001, {"imu"}),
+    "imu_scale": (0.01, {"imu"}),
+    "imu_misalignment_deg": (1.0, {"imu"}),
+    "imu_vibration_mps2": (1.0, {"imu"}),
+    "imu_dropout_s": (0.2, {"imu"}),
+    "extrinsic_error_deg": (2.0, {"robot"}),
+    "gnss_jump_m": (15.0, {"gnss"}),
+    "wheel_slip": (0.5, {"wheels"}),
+    "kidnap_m": (5.0, {"lidar", "imu", "gnss", "wheels"}),
 }
+_DETAILS = {"gnss_jump_at_s": 0.5, "imu_dropout_at_s": 0.5, "kidnap_at_s": (0.75,)}
 
 
 def _streams(spec: DriveSpec) -> dict[str, bytes]:
-    trajectory = make_trajectory(spec.path, WORLD.place, spec.duration_s)
+    trajectory = drive_trajectory(spec, WORLD.place)
     imu = simulate_imu(spec, trajectory)
     sweeps = list(Vlp16(spec, WORLD, trajectory).sweeps())
     fixes = simulate_gnss(spec, trajectory)
+    wheels = simulate_wheels(spec, WheelSpec(), trajectory)
     return {
         "lidar": b"".join(sweep.range_m.tobytes() for sweep in sweeps),
         "imu": imu.stamps_ns.tobytes() + imu.gyro_radps.tobytes() + imu.accel_mps2.tobytes(),
         "gnss": np.array([(fix.latitude_deg, fix.longitude_deg, fix.altitude_m) for fix in fixes]).tobytes(),
+        "wheels": wheels.speed_mps.tobytes() + wheels.yaw_rate_radps.tobytes(),
         "robot": stated_T_lidar_imu(spec).tobytes(),
     }
 
 
+@pytest.fixture(scope="module")
+def clean_streams() -> dict[str, bytes]:
+    return _streams(SECOND)
+
+
+# A second of the drive at walking pace, so that what happens at a certain time happens in it.
+SECOND = replace(SHORT, duration_s=1.0, path=replace(SHORT.path, stand_s=0.1, accel_s=0.3))
+
+
 @pytest.mark.parametrize("name", SWITCHES)
-def test_a_perturbation_changes_its_own_stream_and_no_other(name: str) -> None:
-    clean = replace(SHORT, duration_s=1.0)
+def test_a_perturbation_changes_its_own_streams_and_no_other(
+    name: str, clean_streams: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitslam.sim.wheels._FIRST_SLIP_S", 0.2)
     value, changed = SWITCHES[name]
-    faults = Perturbations(gnss_jump_at_s=0.5, **{name: value})
-    before, after = _streams(clean), _streams(replace(clean, perturbations=faults))
-    assert {stream for stream in before if before[stream] != after[stream]} == {changed}
+    faults = replace(Perturbations(), **_DETAILS, **{name: value})
+    after = _streams(replace(SECOND, perturbations=faults))
+    assert {stream for stream in after if clean_streams[stream] != after[stream]} == changed
 
 
-def test_every_perturbation_has_its_switch_tested() -> None:
-    details = {"gnss_jump_at_s", "gnss_jump_over_s"}
-    assert {field.name for field in fields(Perturbations)} - details == set(SWITCHES)
+def test_every_perturbation_has_its_switch_tested_and_its_name() -> None:
+    switches = {field.name for field in fields(Perturbations)} - {*_DETAILS, "gnss_jump_over_s"}
+    assert switches == set(SWITCHES)
+    assert switches == {fault.field for fault in FAULTS.values()}
 
 
 def test_jittered_stamps_stay_in_order_and_are_late() -> None:

@@ -1,0 +1,1 @@
+"""Made places, one function each."""
