@@ -193,6 +193,7 @@ class _Run:
             **stage_summaries(self._metrics),
             **tally.link(self._uplink.tcp_bytes(), recording_s, counts),
             "jumps": jumps,
+            "wheels": self._imu.wheels_report,
             "imu_resets": self._imu.resets,
             "dropped_by_reason": self._metrics.all_dropped(),
             **tally.by_scan(),

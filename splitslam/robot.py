@@ -148,7 +148,7 @@ class Wheels(Model):
     holonomic: bool = False
     speed_noise_mps: Positive = 0.05
     scale: Positive = 0.02
-    sideways_mps: Positive = 0.2
+    sideways_mps: Positive = 0.1
 
 
 class Robot(Model):

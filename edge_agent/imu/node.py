@@ -94,6 +94,14 @@ class ImuNode:
         """Largest difference between one increment of T_odom_lidar and the IMU's own propagation over it."""
         return {"odom_max_m": float(self._worst[0]), "odom_max_deg": float(np.degrees(self._worst[1]))}
 
+    @property
+    def wheels_report(self) -> dict[str, float | None]:
+        """What the wheels were good for, the `wheels` of report.json."""
+        wheels = self.wheels
+        if wheels is None:
+            return {"factors": 0, "slips": 0, "scale": None}
+        return {"factors": wheels.factors.count, "slips": wheels.slips, "scale": wheels.factors.scale}
+
     def T_odom_lidar_at(self, stamp_ns: int) -> Array:
         """The pose (4, 4) that was given out for `stamp_ns`, interpolated between IMU samples."""
         history = self._history
