@@ -12,7 +12,7 @@ from edge_agent.settings import PipelineSettings
 from splitslam.config import Model
 
 ENVIRONMENT_PREFIX = "SPLITSLAM_EDGE"
-Part = Literal["loops", "gnss", "imu"]
+Part = Literal["loops", "gnss", "imu", "wheels"]
 Port = Annotated[int, Field(ge=0, le=65535)]
 Positive = Annotated[float, Field(gt=0)]
 

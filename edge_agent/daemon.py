@@ -60,7 +60,7 @@ def run_agent(config: AgentConfig, stop: threading.Event) -> None:
 
 def _robot(config: AgentConfig) -> Robot:
     """The robot as this run uses it: what is switched off is not there."""
-    off = {part: None for part in ("imu", "gnss") if part in config.disable}
+    off = {part: None for part in ("imu", "gnss", "wheels") if part in config.disable}
     return load_robot(config.robot).model_copy(update=off)
 
 
@@ -193,6 +193,7 @@ class _Run:
             **stage_summaries(self._metrics),
             **tally.link(self._uplink.tcp_bytes(), recording_s, counts),
             "jumps": jumps,
+            "wheels": self._imu.wheels_report,
             "imu_resets": self._imu.resets,
             "dropped_by_reason": self._metrics.all_dropped(),
             **tally.by_scan(),

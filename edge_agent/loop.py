@@ -20,10 +20,11 @@ from edge_agent.sources import Event
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
-from splitslam.scan import ImuSamples, ScanPacket
+from splitslam.scan import ImuSamples, ScanPacket, WheelSamples
 from splitslam.wire import session_pb2 as pb
 
 UNANCHORED = 4
+Item = ImuSamples | WheelSamples | ScanPacket
 _LAG = 2  # scan k sees the odometry of scans <= k - 2
 
 
@@ -44,6 +45,7 @@ class Imu(Protocol):
     state: int
 
     def add_imu(self, samples: ImuSamples) -> OdomPoses: ...
+    def add_wheels(self, samples: WheelSamples) -> None: ...
     def T_odom_lidar_at(self, stamp_ns: int) -> NDArray[np.float64]: ...
     def on_odometry(self, reply: OdometryReply) -> None: ...
 
@@ -51,8 +53,8 @@ class Imu(Protocol):
 class Sequencer(Protocol):
     """edge_agent.sources.sequencer.Sequencer."""
 
-    def push(self, event: Event) -> Sequence[ImuSamples | ScanPacket]: ...
-    def finish(self) -> Sequence[ImuSamples | ScanPacket]: ...
+    def push(self, event: Event) -> Sequence[Item]: ...
+    def finish(self) -> Sequence[Item]: ...
 
 
 class Uplink(Protocol):
@@ -101,7 +103,7 @@ class AgentLoop:
         for batch in batches:
             if not self._lockstep:
                 self._apply_answers(None)
-            items: list[ImuSamples | ScanPacket] = []
+            items: list[Item] = []
             for _, event in batch:
                 items += parts.sequencer.push(event)
             self._take(items)
@@ -117,12 +119,15 @@ class AgentLoop:
         self._apply_answers(None)
         return True
 
-    def _take(self, items: list[ImuSamples | ScanPacket]) -> None:
+    def _take(self, items: list[Item]) -> None:
         """Neighbouring samples go to the Imu node together: one call costs far more than one sample."""
         samples: list[ImuSamples] = []
         for item in items:
             if isinstance(item, ImuSamples):
                 samples.append(item)
+                continue
+            if isinstance(item, WheelSamples):
+                self._parts.imu.add_wheels(item)
                 continue
             self._take_samples(samples)
             samples = []

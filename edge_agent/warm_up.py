@@ -14,7 +14,7 @@ from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
 from edge_agent.types import OdometryReply
 from splitslam.robot import Robot
-from splitslam.scan import ImuSamples, Scan, ScanPacket
+from splitslam.scan import ImuSamples, Scan, ScanPacket, WheelSamples
 
 _SCANS = 4
 _SCAN_NS = 100_000_000
@@ -31,6 +31,8 @@ def warm_up(
         scan = _room(k * _SCAN_NS, robot, beam_elevations_rad)
         if robot.imu is not None:
             node.add_imu(_still(k * _SCAN_NS, robot))
+        if robot.wheels is not None:
+            node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))
         pose = node.T_odom_lidar_at(frame.stamp_ns)
         node.on_odometry(OdometryReply(frame.seq, frame.stamp_ns, pose, np.eye(4), np.eye(6) * 1e-4, 2, False))

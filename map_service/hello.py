@@ -16,7 +16,7 @@ from splitslam.robot import Robot, robot_from_yaml
 from splitslam.wire import session_pb2 as pb
 
 WIRE_VERSION = 1
-PARTS = frozenset({"loops", "gnss", "imu"})
+PARTS = frozenset({"loops", "gnss", "imu", "wheels"})
 DESKEW = frozenset({"auto", "reference", "cpu", "fpga", "cosim", "off", "rotation"})
 MAX_ROBOT_FILE_BYTES = 64 << 10
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")

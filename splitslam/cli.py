@@ -59,7 +59,7 @@ def run(
     deskew: Annotated[
         str | None, typer.Option(metavar="BACK_END", help="auto, reference, cpu, fpga, cosim, off or rotation.")
     ] = None,
-    disable: Annotated[str, typer.Option(metavar="LIST", help="Comma-separated, of loops, gnss, imu.")] = "",
+    disable: Annotated[str, typer.Option(metavar="LIST", help="Comma-separated, of loops, gnss, imu, wheels.")] = "",
     max_kbps: Annotated[float | None, typer.Option(metavar="N", help="Upper bound of the uplink, kbit/s.")] = None,
     truth: Annotated[
         Path | None, typer.Option(metavar="TRUTH.tum", help="The true trajectory, scored and drawn in the report.")

@@ -131,8 +131,31 @@ class Gnss(Model):
     t_lidar_antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class Wheels(Model):
+    """Wheel odometry, taken from the twist alone; `time_offset_ns` is added to its stamps.
+
+    T_body_wheel: where the twist's frame (its `child_frame_id`) is. holonomic: the base can drive sideways, its y
+    velocity is measured; otherwise only `sideways_mps` is known of it, and of the vertical velocity in any case.
+    scale: standard deviation of the relative error of the speed (tyres, track), which the graph then estimates.
+    """
+
+    model_config = pydantic.ConfigDict(arbitrary_types_allowed=True)
+
+    topic: str | None = AUTO
+    rate_hz: Positive = 50.0
+    time_offset_ns: int = 0
+    T_body_wheel: Transform = pydantic.Field(default_factory=lambda: _rigid(np.eye(4)))
+    holonomic: bool = False
+    speed_noise_mps: Positive = 0.05
+    scale: Positive = 0.02
+    sideways_mps: Positive = 0.1
+
+
 class Robot(Model):
-    """The whole file. `imu` or `gnss` is None when the robot has none (section or its topic null)."""
+    """The whole file. `imu`, `gnss` or `wheels` is None when the robot has none (section or its topic null).
+
+    Wheels are used only when the file has the section: a topic of their type may be another program's pose.
+    """
 
     model_config = pydantic.ConfigDict(arbitrary_types_allowed=True)
 
@@ -140,6 +163,7 @@ class Robot(Model):
     lidar: Lidar = Lidar()
     imu: Imu | None = Imu()
     gnss: Gnss | None = Gnss()
+    wheels: Wheels | None = None
     T_lidar_imu: Transform = pydantic.Field(default_factory=lambda: _rigid(np.eye(4)))
     T_body_lidar: Transform = pydantic.Field(default_factory=lambda: _rigid(np.eye(4)))
     gravity_mps2: Annotated[float, pydantic.Field(gt=9.0, lt=10.5)] = 9.80665
@@ -150,7 +174,7 @@ class Robot(Model):
         if not isinstance(data, dict):
             return data
         data = dict(data)
-        for section in ("imu", "gnss"):
+        for section in ("imu", "gnss", "wheels"):
             given = data.get(section)
             if isinstance(given, dict) and "topic" in given and given["topic"] is None:
                 data[section] = None

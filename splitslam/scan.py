@@ -51,6 +51,22 @@ class ImuSamples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class WheelSamples:
+    """A run of wheel odometry readings, strictly increasing in time; frame `wheel` is T_body_wheel of the robot file.
+
+    stamps_ns: (M,) int64. velocity_mps: (M, 2) float64, along x and y of `wheel`, of its origin.
+    yaw_rate_radps: (M,) float64, about z of `wheel`.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    velocity_mps: NDArray[np.float64]
+    yaw_rate_radps: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GnssFix:
     """One WGS84 antenna position; covariance_enu_m2 is (3, 3) or None when the receiver does not say."""
 

@@ -31,3 +31,9 @@ YARD1_UPLINK_KBPS = 1_500.0
 REALTIME_SLACK_S = 2.0
 # The negative control: without deskew the trajectory must be at least this many times worse (seen: 10 to 20).
 DESKEW_OFF_WORSE_RATIO = 3.0
+
+# What the issue promises of T_odom_lidar against the IMU's own propagation, whatever happens.
+ODOM_STEP_M = 0.02
+ODOM_STEP_DEG = 0.3
+# Drift along the way with wheels that are off by 1 % and no LiDAR, share of the way: no worse than the wheels' own.
+WHEELS_DRIFT_SHARE = 0.01

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from edge_agent.imu.buffer import ImuWindow
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.imu.wheel_factor import WheelFactors, WheelVelocity
 
 Array = NDArray[np.float64]
 _MAX_STEP_NS = 10_000_000
@@ -54,9 +55,10 @@ def _robust(model: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
 class LocalGraph:
     """iSAM2 over at most `reset_keys` scans; `start` begins anew, `add` appends the next scan."""
 
-    def __init__(self, settings: ImuSettings, gravity_mps2: float) -> None:
+    def __init__(self, settings: ImuSettings, gravity_mps2: float, wheels: WheelFactors | None = None) -> None:
         self.settings = settings
         self.gravity_mps2 = gravity_mps2
+        self.wheels = wheels
 
     def start(self, state: NavigationState, T_server_imu: Array, tilt_sigma_rad: float) -> None:
         """First key: position and yaw define `odom`, tilt and velocity are as uncertain as they are."""
@@ -80,6 +82,8 @@ class LocalGraph:
         values.insert(V(0), state.velocity_mps)
         values.insert(B(0), bias)
         values.insert(A_KEY, pose.compose(server.inverse()))
+        if self.wheels is not None:
+            self.wheels.begin(graph, values, reset=False)
         self._begin(graph, values)
         self.state = state
 
@@ -115,8 +119,16 @@ class LocalGraph:
             pim.integrateMeasurement(accel[k], gyro[k], seconds[k])
         return pim
 
-    def add(self, stamp_ns: int, T_server_imu: Array, window: ImuWindow, noise: ImuNoise, degenerate: bool) -> None:
-        """Next scan: its pose in the server's odometry frame and the IMU since the last one; updates `state`."""
+    def add(
+        self,
+        stamp_ns: int,
+        T_server_imu: Array,
+        window: ImuWindow,
+        noise: ImuNoise,
+        degenerate: bool,
+        wheel: WheelVelocity | None = None,
+    ) -> None:
+        """Next scan: its pose in the server's odometry frame, the IMU since the last, the wheels; updates `state`."""
         if self.key + 1 >= self.settings.reset_keys:
             self._reset()
         pim = self._preintegrate(window, noise)
@@ -127,6 +139,8 @@ class LocalGraph:
         graph.add(gtsam.ImuFactor(X(k - 1), V(k - 1), X(k), V(k), B(k - 1), pim))
         graph.add(gtsam.BetweenFactorConstantBias(B(k - 1), B(k), gtsam.imuBias.ConstantBias(), walk))
         graph.add(gtsam.BetweenFactorPose3(A_KEY, X(k), gtsam.Pose3(T_server_imu), self._lidar_noise(degenerate)))
+        if self.wheels is not None and wheel is not None:
+            self.wheels.add(graph, k, wheel)
         before = gtsam.NavState(gtsam.Pose3(self.state.T_odom_imu), self.state.velocity_mps)
         bias = gtsam.imuBias.ConstantBias(self.state.bias[3:], self.state.bias[:3])
         guess = pim.predict(before, bias)
@@ -149,6 +163,8 @@ class LocalGraph:
             np.concatenate([estimate.gyroscope(), estimate.accelerometer()]),
             float(sigma),
         )
+        if self.wheels is not None:
+            self.wheels.read(self.isam)
 
     def _reset(self) -> None:
         """LIO-SAM's bound on the graph: start again from the last key with its marginals as priors."""
@@ -167,6 +183,8 @@ class LocalGraph:
         values.insert(V(0), velocity)
         values.insert(B(0), bias)
         values.insert(A_KEY, server)
+        if self.wheels is not None:
+            self.wheels.begin(graph, values, reset=True)
         self._begin(graph, values)
 
     @property

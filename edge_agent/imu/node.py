@@ -14,18 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.imu import _kernels as kernels
-from edge_agent.imu.buffer import ImuBuffer
+from edge_agent.imu.buffer import ImuBuffer, ImuWindow
 from edge_agent.imu.graph import ImuNoise, LocalGraph, NavigationState
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.imu.wheel_factor import WheelVelocity
+from edge_agent.imu.wheels import WheelAid
 from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
 from splitslam.features import Knots, Motion
 from splitslam.robot import Robot
-from splitslam.scan import ImuSamples
+from splitslam.scan import ImuSamples, WheelSamples
 
 Array = NDArray[np.float64]
 INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
 _STILL_GYRO_RADPS = 0.03
+_FIRST_READING_NS = 50_000_000
 
 
 class ImuNode:
@@ -36,7 +39,8 @@ class ImuNode:
         self.T_lidar_imu = robot.T_lidar_imu
         self.T_imu_lidar = se3.inv(robot.T_lidar_imu)
         self.buffer = ImuBuffer()
-        self.graph = LocalGraph(settings, robot.gravity_mps2)
+        self.wheels = None if robot.wheels is None else WheelAid(robot, settings)
+        self.graph = LocalGraph(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
         self.T_map_odom = np.eye(4)
         self.state = INITIALISING
         self.covariance = np.eye(6)
@@ -47,6 +51,8 @@ class ImuNode:
         self._answers = 0
         self._live = np.zeros((1, 15))
         self._live_ns = 0
+        self._live_P = np.eye(3)  # of the velocity, in `odom`
+        self._live_wheel_ns = 0
         self._output = np.eye(4)[:3].reshape(-1)  # T_odom_imu as it was given out, at _live_ns
         self._history: deque[tuple[int, Array]] = deque()
         self._previous_scan_ns: int | None = None
@@ -67,10 +73,7 @@ class ImuNode:
         anchor = self._anchor
         assert anchor is not None
         window = self.buffer.window(self._live_ns, end_ns)
-        states = np.empty((len(window.stamps_ns), 15))
-        states[0] = self._live[0]
-        g = self.robot.gravity_mps2
-        kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, anchor.bias, g, states)
+        states = self._integrate(window, self._live[0], self._live_wheel_ns, self._live_P)
         wanted, output, poses = np.empty((3, len(states), 12))
         kernels.place(states, wanted)
         s = self.settings
@@ -79,6 +82,7 @@ class ImuNode:
         kernels.follow(window.stamps_ns, wanted, limits, self.T_imu_lidar[:3, 3].copy(), output, self._worst)
         kernels.emit(output, self.T_imu_lidar, poses)
         self._live, self._live_ns, self._output = states[-1:].copy(), end_ns, output[-1].copy()
+        self._live_wheel_ns = self._wheels_read(end_ns)
         for stamp_ns, pose in zip(window.stamps_ns[1:], poses[1:], strict=True):
             self._history.append((int(stamp_ns), pose))
         while self._history and self._history[0][0] < end_ns - s.history_s * 1e9:
@@ -89,6 +93,14 @@ class ImuNode:
     def jumps(self) -> dict[str, float]:
         """Largest difference between one increment of T_odom_lidar and the IMU's own propagation over it."""
         return {"odom_max_m": float(self._worst[0]), "odom_max_deg": float(np.degrees(self._worst[1]))}
+
+    @property
+    def wheels_report(self) -> dict[str, float | None]:
+        """What the wheels were good for, the `wheels` of report.json."""
+        wheels = self.wheels
+        if wheels is None:
+            return {"factors": 0, "slips": 0, "scale": None}
+        return {"factors": wheels.factors.count, "slips": wheels.slips, "scale": wheels.factors.scale}
 
     def T_odom_lidar_at(self, stamp_ns: int) -> Array:
         """The pose (4, 4) that was given out for `stamp_ns`, interpolated between IMU samples."""
@@ -104,6 +116,35 @@ class ImuNode:
         (a, before), b = history[after - 1], history[after][0]
         return se3.interpolate(_matrix(before), T_after, (stamp_ns - a) / (b - a))
 
+    def add_wheels(self, samples: WheelSamples) -> None:
+        """Takes wheel odometry, newer than all before; without the robot file's `wheels` it is not asked."""
+        if self.wheels is not None:
+            self.wheels.append(samples)
+
+    def _integrate(self, window: ImuWindow, first: Array, wheels_after_ns: int, P: Array) -> Array:
+        """States (M, 15) over the window from row `first` on; P (3, 3), of the velocity, is carried along.
+
+        Readings of the wheels newer than `wheels_after_ns` correct the velocity on the way.
+        """
+        anchor = self._anchor
+        assert anchor is not None
+        states = np.empty((len(window.stamps_ns), 15))
+        states[0] = first
+        g = self.robot.gravity_mps2
+        kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, anchor.bias, g, states)
+        if self.wheels is not None:
+            noise = self._noise().accel_mps2_rthz, (int(window.stamps_ns[0]) - anchor.stamp_ns) * 1e-9
+            self.wheels.aid(window, states, anchor.bias, wheels_after_ns, noise, P)
+        return states
+
+    def _wheels_after(self, state: NavigationState) -> int:
+        """Readings up to here are in `state` already; a state without velocity takes the last one before it too."""
+        return state.stamp_ns - (0 if self._started else _FIRST_READING_NS)
+
+    def _wheels_read(self, end_ns: int) -> int:
+        """Where the readings used so far end: one that comes late, after the IMU has passed it, is used as well."""
+        return end_ns if self.wheels is None else min(end_ns, self.wheels.last_ns)
+
     # --- scans ------------------------------------------------------------------------------------------------
 
     def motion_over(self, start_ns: int, end_ns: int) -> Motion:
@@ -115,19 +156,22 @@ class ImuNode:
         # a scan may have been answered before the next one is asked for, but the anchor is never newer than that
         previous_ns = start_ns if self._previous_scan_ns is None else max(self._previous_scan_ns, anchor.stamp_ns)
         self._previous_scan_ns = start_ns
+        if self.wheels is not None:
+            self.wheels.drop_before(anchor.stamp_ns)
         self.buffer.drop_before(min(anchor.stamp_ns, self._live_ns) - int(1e8))
         window = self.buffer.window(anchor.stamp_ns, end_ns)
         window = window.at(np.union1d(window.stamps_ns, [previous_ns, start_ns]))
         stamps, gyro = window.stamps_ns, window.gyro_radps
-        states = np.empty((len(stamps), 15))
-        states[0] = _row(anchor)
-        kernels.integrate(stamps, gyro, window.accel_mps2, anchor.bias, self.robot.gravity_mps2, states)
+        P = np.eye(3) * anchor.velocity_sigma_mps**2
+        states = self._integrate(window, _row(anchor), self._wheels_after(anchor), P)
         first, here = np.searchsorted(stamps, [previous_ns, start_ns])
         T_start = self._lidar_pose(states[here])
         T_prev_lidar = se3.inv(self._lidar_pose(states[first])) @ T_start
         covariance = self._motion_covariance(
             (start_ns - previous_ns) * 1e-9, anchor, (start_ns - anchor.stamp_ns) * 1e-9
         )
+        if self.wheels is not None:
+            covariance[3:, 3:] = np.eye(3) * max(np.trace(P) / 3 * ((start_ns - previous_ns) * 1e-9) ** 2, 1e-8)
         R = T_start[:3, :3]
         lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
         velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
@@ -191,6 +235,8 @@ class ImuNode:
         self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, self.settings.prior_velocity_mps)
         self._live, self._live_ns = _row(self._anchor)[None], start_ns
         self._output = T_odom_imu[:3].reshape(-1)
+        self._live_P = np.eye(3) * self._anchor.velocity_sigma_mps**2
+        self._live_wheel_ns = self._wheels_after(self._anchor)
         self._history.append((start_ns, T_odom_lidar[:3].reshape(-1).copy()))
         if self.buffer.last_ns > start_ns:
             self._propagate(self.buffer.last_ns)
@@ -210,7 +256,8 @@ class ImuNode:
             self._start_graph(reply.stamp_ns, T_server_imu)
         else:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
-            self.graph.add(reply.stamp_ns, T_server_imu, window, self._noise(), reply.degenerate)
+            wheel = self._wheels_at_scan(window)
+            self.graph.add(reply.stamp_ns, T_server_imu, window, self._noise(), reply.degenerate, wheel)
             if self.graph.failed:
                 self.resets += 1
                 self._started = False
@@ -220,6 +267,16 @@ class ImuNode:
         self._take(self.graph.state)
         self.T_map_odom = reply.T_map_lidar @ se3.inv(T_odom_lidar)
         self.covariance, self.state = reply.covariance, reply.state
+
+    def _wheels_at_scan(self, window: ImuWindow) -> WheelVelocity | None:
+        if self.wheels is None:
+            return None
+        state = self.graph.state
+        states = np.empty((len(window.stamps_ns), 15))
+        states[0] = _row(state)
+        g = self.robot.gravity_mps2
+        kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
+        return self.wheels.at_scan(window, states, state.bias, state.velocity_sigma_mps, self._noise().accel_mps2_rthz)
 
     def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
         anchor = self._anchor
@@ -241,12 +298,10 @@ class ImuNode:
         if self._live_ns < state.stamp_ns:  # samples are late: the output comes along on the last of them
             self._propagate(state.stamp_ns)
         self._anchor = state
+        self._live_P, self._live_wheel_ns = np.eye(3) * state.velocity_sigma_mps**2, self._wheels_after(state)
         window = self.buffer.window(state.stamp_ns, self._live_ns)
-        states = np.empty((len(window.stamps_ns), 15))
-        states[0] = _row(state)
-        g = self.robot.gravity_mps2
-        kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
-        self._live = states[-1:].copy()
+        self._live = self._integrate(window, _row(state), self._live_wheel_ns, self._live_P)[-1:].copy()
+        self._live_wheel_ns = self._wheels_read(self._live_ns)
 
 
 def _row(state: NavigationState) -> Array:

@@ -6,7 +6,11 @@ from splitslam.config import Model
 
 
 class ImuSettings(Model):
-    """Defaults follow LIO-SAM where it has them; the noise figures are the robot file's, raised to what is seen."""
+    """Defaults follow LIO-SAM where it has them; the noise figures are the robot file's, raised to what is seen.
+
+    drift_mps2: acceleration that tilt and bias leave over when the IMU alone is integrated, and drift_s for how long
+    it stays the same.
+    """
 
     reset_keys: int = 100
     prior_bias_accel_mps2: float = 0.1
@@ -25,5 +29,7 @@ class ImuSettings(Model):
     blend_step_m: float = 0.01
     blend_step_rad: float = 0.003
     history_s: float = 10.0
+    drift_mps2: float = 0.03
+    drift_s: float = 5.0
     no_imu_velocity_mps: float = 0.5
     no_imu_rate_radps: float = 0.5

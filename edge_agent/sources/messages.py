@@ -1,4 +1,4 @@
-"""sensor_msgs/Imu and NavSatFix -> the records of `splitslam.scan`."""
+"""sensor_msgs/Imu, nav_msgs/Odometry and NavSatFix -> the records of `splitslam.scan`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from splitslam.errors import DataError
-from splitslam.scan import GnssFix, ImuSamples
+from splitslam.scan import GnssFix, ImuSamples, WheelSamples
+
+_FASTEST = 100.0  # m/s and rad/s: what is beyond is no measurement
 
 
 def stamp_ns(header: Any) -> int:
@@ -25,6 +27,20 @@ def imu_samples(message: Any, time_offset_ns: int) -> ImuSamples:
     numbers = np.array(values, dtype=np.float64)
     stamps_ns = np.array([stamp_ns(message.header) + time_offset_ns], dtype=np.int64)
     return ImuSamples(stamps_ns, numbers[None, :3], numbers[None, 3:])
+
+
+def wheel_samples(message: Any, time_offset_ns: int) -> WheelSamples:
+    """One Odometry message -> one reading, its twist alone: the pose is the sum of all slips. DataError `wheel_nan`
+    or `wheel_range`."""
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    values = (linear.x, linear.y, angular.z)
+    if not all(map(math.isfinite, values)):
+        raise DataError("wheel_nan")
+    if max(map(abs, values)) > _FASTEST:
+        raise DataError("wheel_range")
+    numbers = np.array(values, dtype=np.float64)
+    stamps_ns = np.array([stamp_ns(message.header) + time_offset_ns], dtype=np.int64)
+    return WheelSamples(stamps_ns, numbers[None, :2], numbers[2:])
 
 
 def gnss_fix(message: Any) -> GnssFix:

@@ -1,4 +1,4 @@
-"""A recording as a stream of scans, IMU samples and GNSS fixes, in the order they were recorded."""
+"""A recording as a stream of scans, IMU samples, wheel odometry and GNSS fixes, in the order they were recorded."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from edge_agent.sources.raw import Gate, RawScan
 from edge_agent.sources.velodyne import VelodyneDecoder
 from splitslam.errors import DataError, InputError
 from splitslam.robot import Robot
-from splitslam.scan import GnssFix, ImuSamples, Scan
+from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
-Event = Scan | ImuSamples | GnssFix
+Event = Scan | ImuSamples | WheelSamples | GnssFix
 _FIRST_SCANS = 5
 _TAIL_NS = 500_000_000  # after the last scan wanted: how long to read on for IMU samples that cover it
 
@@ -58,7 +58,7 @@ class Counts:
 class Recording:
     """One pass over a recording; `events` can be iterated once.
 
-    robot: the robot file with the chosen topics filled in, imu and gnss None when the recording has none.
+    robot: the robot file with the chosen topics filled in, imu, wheels and gnss None when the recording has none.
     beam_elevations_rad: (rings,) float32. topics: sensor -> topic. notes: lines to print once.
     dropped: messages that could not be used, by reason. start_ns, end_ns: recorded time (arrival) of the first and
     last message of the part read so far, 0 before the first.
@@ -90,13 +90,14 @@ class Recording:
         self._gate = Gate(self.robot, self.counts.left_out)
 
     def events(self) -> Iterator[tuple[int, Event]]:
-        """(arrival time ns, Scan | ImuSamples | GnssFix) in recording order; closes the recording at its end.
+        """(arrival time ns, event) in recording order; closes the recording at its end.
 
         A message that cannot be used is counted in `dropped` and left out.
         """
         convert = {
             self.topics["lidar"]: self._scan,
             self.topics.get("imu"): self._imu,
+            self.topics.get("wheels"): self._wheels,
             self.topics.get("gnss"): messages.gnss_fix,
         }
         stop_ns: int | None = None
@@ -144,13 +145,19 @@ class Recording:
         assert self.robot.imu is not None
         return messages.imu_samples(message, self.robot.imu.time_offset_ns)
 
+    def _wheels(self, message: Any) -> WheelSamples:
+        assert self.robot.wheels is not None
+        return messages.wheel_samples(message, self.robot.wheels.time_offset_ns)
+
     def _choose_topics(self, robot: Robot) -> tuple[Robot, dict[str, str]]:
         there = self._bag.topics()
         chosen: dict[str, str] = {}
         sections: dict[str, Any] = {}
-        for sensor in (topics.LIDAR, topics.IMU_SENSOR, topics.GNSS):
+        for sensor in (topics.LIDAR, topics.IMU_SENSOR, topics.WHEELS, topics.GNSS):
             section = getattr(robot, sensor.section)
-            topic, note = topics.choose(sensor, section.topic if section else None, there, self._name)
+            if section is None:
+                continue
+            topic, note = topics.choose(sensor, section.topic, there, self._name)
             if note:
                 self.notes.append(note)
             if topic is not None:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitslam.robot import Robot
-from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket
+from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
 _JUMP_NS = 1_000_000_000  # a longer step ahead is believed only when the next message confirms it
 _MAX_WAITING = 20
-T = TypeVar("T", Scan, ImuSamples, GnssFix)
+Item = ImuSamples | WheelSamples | ScanPacket
+T = TypeVar("T", Scan, ImuSamples, WheelSamples, GnssFix)
 
 
 class _Clock(Generic[T]):
@@ -60,7 +61,7 @@ class _Clock(Generic[T]):
         return [] if held is None else [held[2]]
 
     def _drop(self, reason: str, item: T) -> None:
-        self._dropped[self._prefix + reason] += len(item) if isinstance(item, ImuSamples) else 1
+        self._dropped[self._prefix + reason] += len(item) if isinstance(item, ImuSamples | WheelSamples) else 1
 
     def follows(self, first_ns: int) -> bool:
         """True when a message with this stamp passes at once."""
@@ -68,12 +69,13 @@ class _Clock(Generic[T]):
 
 
 class Sequencer:
-    """Merges scans, IMU samples and GNSS fixes into what the pipeline takes, in order.
+    """Merges scans, IMU samples, wheel odometry and GNSS fixes into what the pipeline takes, in order.
 
     Out come IMU samples as they arrive, and each scan right after the first sample at or after its end; a chunk of
-    samples is split there. Fixes go with the next packet. Without an IMU a scan passes straight through.
-    dropped: messages left out by reason: duplicate, time_backwards, time_jump, nan, empty; with the prefix `imu_` or
-    `gnss_` for those streams.
+    samples is split there. Wheel odometry passes as it comes, fixes go with the next packet. Without an IMU a scan
+    passes straight through.
+    dropped: messages left out by reason: duplicate, time_backwards, time_jump, nan, empty; with the prefix `imu_`,
+    `wheel_` or `gnss_` for those streams.
     uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended.
     """
 
@@ -86,20 +88,23 @@ class Sequencer:
         self._fixes: list[GnssFix] = []
         self._scan_clock = _Clock[Scan]("", self.dropped)
         self._imu_clock = _Clock[ImuSamples]("imu_", self.dropped)
+        self._wheel_clock = _Clock[WheelSamples]("wheel_", self.dropped)
         self._gnss_clock = _Clock[GnssFix]("gnss_", self.dropped)
 
-    def push(self, event: Scan | ImuSamples | GnssFix) -> list[ImuSamples | ScanPacket]:
+    def push(self, event: Scan | ImuSamples | WheelSamples | GnssFix) -> list[Item]:
         """Takes one message; returns what may go to the pipeline now."""
         if isinstance(event, ImuSamples):
             return self._push_imu(event)
+        if isinstance(event, WheelSamples):
+            return [*self._wheel_clock.admit(int(event.stamps_ns[0]), int(event.stamps_ns[-1]), event)]
         if isinstance(event, GnssFix):
             self._fixes.extend(self._gnss_clock.admit(event.stamp_ns, event.stamp_ns, event))
             return []
         return self._push_scan(event)
 
-    def finish(self) -> list[ImuSamples | ScanPacket]:
+    def finish(self) -> list[Item]:
         """End of input: everything that still waits."""
-        out: list[ImuSamples | ScanPacket] = []
+        out: list[Item] = [*self._wheel_clock.flush()]
         for samples in self._imu_clock.flush():
             out.extend(self._emit(samples))
         self._waiting.extend(self._scan_clock.flush())
@@ -107,7 +112,7 @@ class Sequencer:
             out.append(self._release())
         return out
 
-    def _push_scan(self, scan: Scan) -> list[ImuSamples | ScanPacket]:
+    def _push_scan(self, scan: Scan) -> list[Item]:
         if len(scan) == 0:
             self.dropped["empty"] += 1
             return []
@@ -115,13 +120,13 @@ class Sequencer:
             self.dropped["nan"] += 1
             return []
         self._waiting.extend(self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan))
-        out: list[ImuSamples | ScanPacket] = []
+        out: list[Item] = []
         while self._waiting and (self._covers(self._waiting[0]) or len(self._waiting) > _MAX_WAITING):
             out.append(self._release())
         return out
 
-    def _push_imu(self, samples: ImuSamples) -> list[ImuSamples | ScanPacket]:
-        out: list[ImuSamples | ScanPacket] = []
+    def _push_imu(self, samples: ImuSamples) -> list[Item]:
+        out: list[Item] = []
         finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
         if not finite.all():
             self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
@@ -138,9 +143,9 @@ class Sequencer:
             return [samples]
         return [_slice(samples, k, k + 1) for k in range(len(samples))]
 
-    def _emit(self, samples: ImuSamples) -> list[ImuSamples | ScanPacket]:
+    def _emit(self, samples: ImuSamples) -> list[Item]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
-        out: list[ImuSamples | ScanPacket] = []
+        out: list[Item] = []
         done = 0
         while self._waiting:
             cover = int(np.searchsorted(samples.stamps_ns, self._waiting[0].end_ns))

@@ -11,15 +11,20 @@ POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 VELODYNE_SCAN = "velodyne_msgs/msg/VelodyneScan"
 IMU = "sensor_msgs/msg/Imu"
 NAV_SAT_FIX = "sensor_msgs/msg/NavSatFix"
+ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """One section of the robot file: the message types it takes and the usual topic names, best first."""
+    """One section of the robot file: the message types it takes and the usual topic names, best first.
+
+    only_usual: a topic of another name is not taken, even when it is the only one of its type.
+    """
 
     section: str
     types: tuple[str, ...]
     usual: tuple[str, ...]
+    only_usual: bool = False
 
 
 LIDAR = Sensor(
@@ -44,6 +49,25 @@ IMU_SENSOR = Sensor(
     "imu",
     (IMU,),
     ("imu_raw", "imu_correct", "imu/data", "imu/data_raw", "imu", "ouster/imu", "os_cloud_node/imu", "microstrain/imu"),
+)
+WHEELS = Sensor(
+    "wheels",
+    (ODOMETRY,),
+    (
+        "wheel/odom",
+        "wheel_odom",
+        "wheel/odometry",
+        "wheel_odometry",
+        "wheels/odom",
+        "odometry/wheel",
+        "odom/wheel",
+        "diff_drive_controller/odom",
+        "diff_cont/odom",
+        "odom_raw",
+        "odom",
+        "odometry",
+    ),
+    only_usual=True,  # Odometry is also what every SLAM and every filter publishes
 )
 GNSS = Sensor("gnss", (NAV_SAT_FIX,), ("gps/fix", "gnss/fix", "fix", "navsat/fix", "ublox/fix", "gps"))
 
@@ -72,7 +96,7 @@ def choose(sensor: Sensor, wanted: str | None, topics: dict[str, str], name: str
     for usual in sensor.usual:
         if bare.get(usual) in fitting:
             return bare[usual], f"{sensor.section}: topic {bare[usual]} (usual name; set {sensor.section}.topic)"
-    if len(fitting) == 1:
+    if len(fitting) == 1 and not sensor.only_usual:
         return fitting[0], f"{sensor.section}: topic {fitting[0]} (the only one of its type)"
     if fitting:
         raise InputError(f"{name}: {sensor.section}.topic: must be given, one of: {', '.join(fitting)}")

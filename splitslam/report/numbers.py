@@ -10,6 +10,7 @@ from splitslam.wire import session_pb2 as pb
 _FROM_EDGE = (
     "scans",
     "jumps",
+    "wheels",
     "edge_ms",
     "edge_wall_ms",
     "uplink",

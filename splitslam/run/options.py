@@ -11,7 +11,7 @@ from pathlib import Path
 from splitslam.errors import InputError
 
 DESKEW = ("auto", "reference", "cpu", "fpga", "cosim", "off", "rotation")
-PARTS = ("loops", "gnss", "imu")
+PARTS = ("loops", "gnss", "imu", "wheels")
 _NEEDED = {"edge": "rosbags", "server": "sqlalchemy", "viz": "matplotlib", "sim": "embreex"}
 
 

@@ -58,6 +58,7 @@ def edge_json() -> dict:
         "downlink": {"bytes": 6000, "kbps": 40.0},
         "round_trip_ms": times,
         "jumps": {"odom_max_m": 0.0, "odom_max_deg": 0.0, "map_count": 0, "map_max_m": 0.0},
+        "wheels": {"factors": 7, "slips": 1, "scale": 0.01},
         "stamps_ns_by_scan": [START_NS + k * STEP_NS for k in range(SCANS)],
         "bytes_by_scan": [4000 + 100 * k for k in range(SCANS)],
         "dense_by_scan": [k % 4 == 0 for k in range(SCANS)],

@@ -237,7 +237,7 @@ def test_a_bad_configuration_is_found_before_anything_is_started(
     [
         ({"recording": Path("nowhere.bag")}, r"^nowhere\.bag: expected a recording"),
         ({"deskew": "gpu"}, r"^--deskew: expected one of auto, .*, found 'gpu'"),
-        ({"disable": ("loop",)}, r"^--disable: expected one of loops, gnss, imu, found 'loop'; nearest: loops"),
+        ({"disable": ("loop",)}, r"^--disable: expected one of loops, gnss, imu, wheels, found 'loop'; nearest: loops"),
         ({"max_kbps": 0.0}, r"^--max-kbps: expected more than 0"),
         ({"max_kbps": float("nan")}, r"^--max-kbps: expected more than 0"),
         ({"max_scans": 0}, r"^--max-scans: expected at least 1"),

@@ -16,7 +16,7 @@ from edge_agent.sources import Event
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
-from splitslam.scan import ImuSamples, Scan, ScanPacket
+from splitslam.scan import ImuSamples, Scan, ScanPacket, WheelSamples
 from splitslam.wire import session_pb2 as pb
 
 SCAN_NS = 100_000_000
@@ -53,6 +53,9 @@ class FakeImu:
         return OdomPoses(
             samples.stamps_ns, np.zeros((count, 3)), np.tile([0, 0, 0, 1.0], (count, 1)), np.zeros((count, 3))
         )
+
+    def add_wheels(self, samples: WheelSamples) -> None:
+        self.log.append(f"wheels {len(samples)}")
 
     def T_odom_lidar_at(self, stamp_ns: int) -> np.ndarray:
         return np.eye(4)

@@ -111,6 +111,9 @@ def test_what_is_no_rigid_transform_is_refused(rows, why):
         ("lidar: {crop_boxes_body: [[0, 0, 0, -1, 1, 1]]}", "crop_boxes_body: expected [xmin"),
         ("imu: {topic: /imu}", "T_lidar_imu: must be given when there is an IMU"),
         ("robot: {id: 'a b'}", "robot.id"),
+        ("wheels: {topik: /odom}", "wheels.topik: unknown key; nearest known: wheels.topic"),
+        ("wheels: {speed_noise_mps: 0}", "wheels.speed_noise_mps: Input should be greater than 0"),
+        ("wheels: {T_body_wheel: [1]}", "wheels.T_body_wheel: "),
         ("gravity_mps2: 1.62", "gravity_mps2"),
         ("lidar: {rings: 3, rings: 4}", "key rings is given twice"),
         ("lidar: [", "line 1: not valid YAML"),
@@ -126,6 +129,19 @@ def test_two_mistakes_are_both_in_the_line():
     line = wrong("lidar: {modl: a, rings: x}")
     assert "lidar.modl" in line
     assert "lidar.rings" in line
+
+
+@pytest.mark.parametrize("text", ["", "wheels: null", "wheels: {topic: null}"])
+def test_a_robot_has_no_wheels_unless_it_is_said(text):
+    assert robot_from_yaml(text).wheels is None
+
+
+def test_wheels_survive_yaml():
+    wheels = robot_from_yaml(EXAMPLE.replace("holonomic: false", "holonomic: true"))
+    again = robot_from_yaml(robot_to_yaml(wheels))
+    assert again == wheels
+    assert again.wheels is not None
+    assert again.wheels.holonomic
 
 
 def test_a_missing_file_is_named(tmp_path):
@@ -186,6 +202,15 @@ imu:
   gyro_walk_radps2_rthz: 2.0e-5      # bias random walk
   accel_walk_mps3_rthz: 2.0e-4
 gnss: {topic: /gps/fix, t_lidar_antenna_m: [0, 0, 0]}     # null: none
+wheels:                     # null or left out: none; nav_msgs/Odometry, of which only the twist is used
+  topic: /wheel/odom
+  rate_hz: 50
+  time_offset_ns: 0         # added to its stamps
+  T_body_wheel: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]    # where the twist's frame is
+  holonomic: false          # true: the base can drive sideways, and y is measured
+  speed_noise_mps: 0.05     # white noise of a reading
+  scale: 0.02               # standard deviation of the speed's relative error (tyres, track); it is estimated
+  sideways_mps: 0.1         # how far from zero what is not measured may be: sideways and vertical velocity
 T_lidar_imu: [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]   # p_lidar = T_lidar_imu @ p_imu
 T_body_lidar: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 gravity_mps2: 9.80665

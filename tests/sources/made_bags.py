@@ -13,7 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 
 ROS1, SQLITE3, MCAP = "ros1", "sqlite3", "mcap"
 CLOUD, IMU, FIX = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
+ODOMETRY = "nav_msgs/msg/Odometry"
 T0_NS = 1_700_000_000_000_000_123  # an epoch that a float32 and a float64 both round
+_GEOMETRY = ("Vector3", "Point", "Quaternion", "Pose", "Twist", "PoseWithCovariance", "TwistWithCovariance")
 _CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 Message = tuple[str, str, int, dict[str, Any]]  # topic, type, arrival ns, fields
@@ -84,6 +86,13 @@ def imu(
 ) -> Message:
     """One Imu message."""
     return topic, IMU, stamp_ns, {"header": stamp_ns, "gyro": gyro, "accel": accel}
+
+
+def wheels(
+    stamp_ns: int, *, topic: str = "/wheel/odom", velocity: tuple = (1.2, 0.1, 0.0), yaw_rate: float = 0.3
+) -> Message:
+    """One Odometry message; its pose is far off, as wheels' poses are."""
+    return topic, ODOMETRY, stamp_ns, {"header": stamp_ns, "velocity": velocity, "yaw_rate": yaw_rate}
 
 
 def fix(
@@ -163,6 +172,13 @@ def _build(store: Any, msgtype: str, fields: dict[str, Any], ros1: bool) -> Any:
         vector, nine = types["geometry_msgs/msg/Vector3"], np.zeros(9)
         rotation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
         return types[IMU](header, rotation, nine, vector(*fields["gyro"]), nine, vector(*fields["accel"]), nine)
+    if msgtype == ODOMETRY:
+        geometry = {name: types[f"geometry_msgs/msg/{name}"] for name in _GEOMETRY}
+        vector = geometry["Vector3"]
+        place = geometry["Pose"](geometry["Point"](99.0, 99.0, 99.0), geometry["Quaternion"](0.0, 0.0, 0.0, 1.0))
+        twist = geometry["Twist"](vector(*fields["velocity"]), vector(0.0, 0.0, fields["yaw_rate"]))
+        pose = geometry["PoseWithCovariance"](place, np.zeros(36))
+        return types[ODOMETRY](header, "base_link", pose, geometry["TwistWithCovariance"](twist, np.zeros(36)))
     assert msgtype == FIX
     status = types["sensor_msgs/msg/NavSatStatus"](status=fields["status"], service=1)
     covariance = np.diag([0.25, 0.36, 1.0]).reshape(-1)

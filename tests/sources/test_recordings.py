@@ -12,7 +12,7 @@ import pytest
 from edge_agent.sources import open_recording
 from splitslam.errors import InputError
 from splitslam.robot import load_robot, robot_from_yaml
-from splitslam.scan import GnssFix, ImuSamples, Scan
+from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 from tests.sources import made_bags as made
 from tests.sources.robots import RIGID, robot
 
@@ -141,6 +141,59 @@ def test_bad_imu_and_gnss_messages_are_dropped_by_reason(tmp_path):
     assert isinstance(imu, ImuSamples)
     assert isinstance(gnss, GnssFix)
     assert gnss.covariance_enu_m2 is None
+
+
+WHEELS = f"imu: null\ngnss: null\nwheels: {{}}\n{RIGID}"
+
+
+@pytest.mark.parametrize("kind", [made.ROS1, made.SQLITE3, made.MCAP])
+def test_the_twist_of_wheel_odometry_is_read_and_its_pose_is_not(tmp_path, kind):
+    path = made.write_bag(tmp_path, kind, [made.wheels(made.T0_NS), one_cloud()])
+    rest = f"imu: null\nwheels: {{time_offset_ns: -7000}}\n{RIGID}"
+    wheels, _ = (event for _, event in open_recording(path, robot(rest=rest)).events())
+    assert isinstance(wheels, WheelSamples)
+    assert wheels.stamps_ns.tolist() == [made.T0_NS - 7000]
+    assert wheels.velocity_mps.tolist() == [[1.2, 0.1]]
+    assert wheels.yaw_rate_radps.tolist() == [0.3]
+
+
+def test_bad_wheel_messages_are_dropped_by_reason(tmp_path):
+    messages = [
+        made.wheels(made.T0_NS, velocity=(np.nan, 0.0, 0.0)),
+        made.wheels(made.T0_NS + 1, yaw_rate=np.inf),
+        made.wheels(made.T0_NS + 2, velocity=(1e9, 0.0, 0.0)),
+        made.wheels(made.T0_NS + 3),
+        one_cloud(),
+    ]
+    recording = open_recording(made.write_bag(tmp_path, made.ROS1, messages), robot(rest=WHEELS))
+    assert [type(event) for _, event in recording.events()] == [WheelSamples, Scan]
+    assert recording.dropped == {"wheel_nan": 2, "wheel_range": 1}
+
+
+@pytest.mark.parametrize("topic", ["/odom", "/wheel/odom", "wheel_odometry"])
+def test_odometry_is_wheels_only_when_the_robot_file_says_that_there_are_some(tmp_path, topic):
+    path = made.write_bag(tmp_path, made.ROS1, [made.wheels(made.T0_NS, topic=topic), one_cloud()])
+    with open_recording(path, robot()) as recording:
+        assert recording.topics == {"lidar": "/points_raw"}
+        assert recording.robot.wheels is None
+    with open_recording(path, robot(rest=WHEELS)) as recording:
+        assert recording.topics["wheels"] == topic
+        assert any(f"wheels: topic {topic}" in note for note in recording.notes)
+
+
+def test_the_best_of_several_usual_wheel_topics_is_taken_and_an_unusual_one_never(tmp_path):
+    both = [made.wheels(made.T0_NS, topic=topic) for topic in ("/odom", "/slam/odometry", "/wheel/odom")]
+    (tmp_path / "a").mkdir()
+    with open_recording(made.write_bag(tmp_path / "a", made.ROS1, [*both, one_cloud()]), robot(rest=WHEELS)) as read:
+        assert read.topics["wheels"] == "/wheel/odom"
+    path = made.write_bag(tmp_path, made.ROS1, [both[1], one_cloud()])
+    says(path, "wheels.topic: must be given, one of: /slam/odometry", f"lidar: {{rings: 3}}\n{WHEELS}")
+
+
+def test_a_robot_file_with_wheels_and_a_recording_without_goes_without(tmp_path):
+    with open_recording(made.write_bag(tmp_path, made.ROS1, [one_cloud()]), robot(rest=WHEELS)) as recording:
+        assert recording.robot.wheels is None
+        assert "wheels: none in the recording" in recording.notes
 
 
 def says(path: Path, text: str, with_robot: str = "lidar: {rings: 3}\nimu: null\ngnss: null") -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge_agent.sources import Sequencer
-from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket
+from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 from tests.sources.robots import robot
 
 MS = 1_000_000
@@ -24,6 +24,10 @@ def scan(start_ms: float, length_ms: float = 100.0, points: int = 2) -> Scan:
 def imu(*stamps_ms: float) -> ImuSamples:
     stamps = np.array([round(ms * MS) for ms in stamps_ms], dtype=np.int64)
     return ImuSamples(stamps, np.zeros((len(stamps), 3)), np.zeros((len(stamps), 3)))
+
+
+def wheels(ms: float) -> WheelSamples:
+    return WheelSamples(np.array([round(ms * MS)], np.int64), np.zeros((1, 2)), np.zeros(1))
 
 
 def fix(ms: float) -> GnssFix:
@@ -100,6 +104,20 @@ def test_fixes_go_with_the_next_packet_only():
     assert isinstance(second, ScanPacket)
     assert [f.stamp_ns for f in first.fixes] == [10 * MS, 20 * MS]
     assert second.fixes == ()
+
+
+def test_wheel_odometry_passes_as_it_comes_and_its_bad_time_does_not():
+    sequencer = with_imu()
+    sequencer.push(scan(0))
+    out = [item for ms in (0, 20, 20, 10, 40, 9_000, 60) for item in sequencer.push(wheels(ms))]
+    assert all(isinstance(item, WheelSamples) for item in out)
+    assert [item.stamps_ns.tolist() for item in out if isinstance(item, WheelSamples)] == [
+        [0],
+        [20 * MS],
+        [40 * MS],
+        [60 * MS],
+    ]
+    assert sequencer.dropped == {"wheel_duplicate": 1, "wheel_time_backwards": 1, "wheel_time_jump": 1}
 
 
 def test_duplicates_and_steps_back_are_dropped_by_stream():
