@@ -17,7 +17,8 @@ class OdometryReply:
     """The map service's answer to frame `seq`, as the Imu node reads it.
 
     T_map_lidar, T_map_odom: (4, 4). covariance: (6, 6), right tangent, rotation first.
-    degenerate: some direction was not observed. rejected: why the frame was not mapped, or "".
+    degenerate_axes: (A, 6) unit directions, same tangent, that the features did not observe. rejected: why the frame was
+    not mapped, or "".
     """
 
     seq: int
@@ -26,7 +27,7 @@ class OdometryReply:
     T_map_odom: NDArray[np.float64]
     covariance: NDArray[np.float64]
     state: int
-    degenerate: bool
+    degenerate_axes: NDArray[np.float64]
     rejected: str = ""
 
 

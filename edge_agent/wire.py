@@ -72,15 +72,16 @@ def _fix_message(fix: GnssFix) -> types.GnssFix:
 
 def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
     """The server's answer. One that makes no sense counts as rejected, so that the Imu node never sees it."""
-    covariance = np.eye(6)
+    covariance, axes = np.eye(6), np.zeros((0, 6))
     rejected = message.rejected
     T_map_lidar = T_map_odom = np.eye(4)
     if not rejected:
         try:
             T_map_lidar, T_map_odom = matrix(message.pose_map_lidar), matrix(message.pose_map_odom)
             covariance = np.array(message.covariance, dtype=np.float64).reshape(6, 6)
-            if not np.isfinite(covariance).all():
-                raise ValueError("covariance not finite")
+            axes = np.array(message.degenerate_axes, dtype=np.float64).reshape(-1, 6)
+            if not (np.isfinite(covariance).all() and np.isfinite(axes).all()):
+                raise ValueError("covariance or axes not finite")
         except ValueError:
             rejected = "corrupt_answer"
     reply = OdometryReply(
@@ -90,7 +91,7 @@ def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
         T_map_odom=T_map_odom,
         covariance=covariance,
         state=message.state,
-        degenerate=len(message.degenerate_axes) > 0,
+        degenerate_axes=axes,
         rejected=rejected,
     )
     stated = message.correction.cause != types.CORRECTION_CAUSE_UNSPECIFIED

@@ -151,6 +151,7 @@ class Tracker:
         T = result.T_local_lidar
         if not good:  # nothing to hold on to: the edge's motion carries the pose
             T = state.T_local_lidar @ frame.motion.T_prev_lidar
+            result = replace(result, T_local_lidar=T, degenerate_axes=np.eye(6))
         bad_frames = 0 if good else state.bad_frames + 1
         moved = se3.inv(state.T_local_keyframe) @ T
         new_ground = np.linalg.norm(moved[:3, 3]) > s.keyframe_m or se3.angle(moved) > s.keyframe_rad

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from splitslam.scan import ImuSamples
 
 _NOISE_SAMPLES = 500
+_LONGEST_BLOCK_S = 0.05
 _UNKNOWN_GYRO_RADPS = 0.01
 _UNKNOWN_ACCEL_MPS2 = 0.5
 
@@ -48,7 +49,7 @@ class ImuBuffer:
     def __init__(self) -> None:
         self._stamps = np.empty(0, np.int64)
         self._values = np.empty((0, 6))
-        self._rough = np.empty((0, 6))
+        self._recent = np.empty((0, 6))
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -63,10 +64,7 @@ class ImuBuffer:
         values = np.hstack([samples.gyro_radps, samples.accel_mps2])
         self._stamps = np.concatenate([self._stamps, samples.stamps_ns])
         self._values = np.concatenate([self._values, values])
-        last = self._values[-(len(values) + 2) :]
-        if len(last) >= 3:
-            rough = last[1:-1] - 0.5 * (last[:-2] + last[2:])
-            self._rough = np.concatenate([self._rough, rough])[-_NOISE_SAMPLES:]
+        self._recent = np.concatenate([self._recent, values])[-_NOISE_SAMPLES:]
 
     def drop_before(self, stamp_ns: int) -> None:
         """Forgets what lies before the last sample at or before `stamp_ns`."""
@@ -93,14 +91,22 @@ class ImuBuffer:
     def noise_densities(self) -> tuple[float, float]:
         """(gyro rad/s/sqrt(Hz), accel m/s^2/sqrt(Hz)) seen in the samples themselves; cautious while unknown.
 
-        The deviation of a sample from its neighbours' mean holds white noise and all motion that the sample rate
-        does not resolve (variance 1.5 sigma^2): with a slow IMU that is far more than the data sheet's figure.
+        The deviation of a block's mean from its neighbours' mean holds white noise and all motion that the blocks do
+        not resolve (variance 1.5 sigma^2). With a slow IMU that is far more than the data sheet's figure. Vibration
+        averages out over longer blocks while white noise goes on as before: the quietest block length counts.
         """
         if len(self._stamps) < 2:
             return _UNKNOWN_GYRO_RADPS, _UNKNOWN_ACCEL_MPS2
         period_s = (self._stamps[-1] - self._stamps[0]) * 1e-9 / (len(self._stamps) - 1)
-        if len(self._rough) < 10:
+        if len(self._recent) < 12:
             return _UNKNOWN_GYRO_RADPS * period_s**0.5, _UNKNOWN_ACCEL_MPS2 * period_s**0.5
-        variance = np.mean(self._rough**2, axis=0) / 1.5
-        gyro, accel = np.sqrt(variance[:3].mean() * period_s), np.sqrt(variance[3:].mean() * period_s)
-        return float(gyro), float(accel)
+        quietest = np.full(2, np.inf)
+        count = 1
+        while count == 1 or (count * period_s <= _LONGEST_BLOCK_S and len(self._recent) >= 12 * count):
+            whole = len(self._recent) // count * count
+            means = self._recent[-whole:].reshape(-1, count, 6).mean(axis=1)
+            rough = means[1:-1] - 0.5 * (means[:-2] + means[2:])
+            variance = np.mean(rough**2, axis=0) / 1.5 * period_s * count
+            quietest = np.minimum(quietest, [variance[:3].mean(), variance[3:].mean()])
+            count *= 2
+        return float(np.sqrt(quietest[0])), float(np.sqrt(quietest[1]))

@@ -77,7 +77,7 @@ class LocalGraph:
         bias = gtsam.imuBias.ConstantBias(state.bias[3:], state.bias[:3])
         graph.add(gtsam.PriorFactorConstantBias(B(0), bias, bias_noise))
         server = gtsam.Pose3(T_server_imu)
-        graph.add(gtsam.BetweenFactorPose3(A_KEY, X(0), server, self._lidar_noise(False)))
+        graph.add(gtsam.BetweenFactorPose3(A_KEY, X(0), server, self._lidar_noise(np.zeros((0, 6)))))
         values.insert(X(0), pose)
         values.insert(V(0), state.velocity_mps)
         values.insert(B(0), bias)
@@ -97,11 +97,14 @@ class LocalGraph:
         self.isam.update(graph, values)
         self.key = 0
 
-    def _lidar_noise(self, degenerate: bool) -> gtsam.noiseModel.Base:
+    def _lidar_noise(self, unobserved: Array) -> gtsam.noiseModel.Base:
+        """unobserved (A, 6): directions, right tangent of the IMU's pose, in which the LiDAR said nothing."""
         s = self.settings
-        if degenerate:
-            return _sigmas(s.degenerate_rotation_rad, s.degenerate_translation_m)
-        return _robust(_sigmas(s.lidar_rotation_rad, s.lidar_translation_m))
+        if not len(unobserved):
+            return _robust(_sigmas(s.lidar_rotation_rad, s.lidar_translation_m))
+        covariance = np.diag(np.repeat([s.lidar_rotation_rad**2, s.lidar_translation_m**2], 3))
+        covariance += s.unobserved_m**2 * unobserved.T @ unobserved
+        return _robust(gtsam.noiseModel.Gaussian.Covariance(covariance))
 
     def _preintegrate(self, window: ImuWindow, noise: ImuNoise) -> gtsam.PreintegratedImuMeasurements:
         parameters = gtsam.PreintegrationParams.MakeSharedU(self.gravity_mps2)
@@ -125,10 +128,13 @@ class LocalGraph:
         T_server_imu: Array,
         window: ImuWindow,
         noise: ImuNoise,
-        degenerate: bool,
+        unobserved: Array,
         wheel: WheelVelocity | None = None,
     ) -> None:
-        """Next scan: its pose in the server's odometry frame, the IMU since the last, the wheels; updates `state`."""
+        """Next scan: its pose in the server's odometry frame, the IMU since the last, the wheels; updates `state`.
+
+        unobserved (A, 6): directions in which that pose is only a prediction.
+        """
         if self.key + 1 >= self.settings.reset_keys:
             self._reset()
         pim = self._preintegrate(window, noise)
@@ -138,7 +144,7 @@ class LocalGraph:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         graph.add(gtsam.ImuFactor(X(k - 1), V(k - 1), X(k), V(k), B(k - 1), pim))
         graph.add(gtsam.BetweenFactorConstantBias(B(k - 1), B(k), gtsam.imuBias.ConstantBias(), walk))
-        graph.add(gtsam.BetweenFactorPose3(A_KEY, X(k), gtsam.Pose3(T_server_imu), self._lidar_noise(degenerate)))
+        graph.add(gtsam.BetweenFactorPose3(A_KEY, X(k), gtsam.Pose3(T_server_imu), self._lidar_noise(unobserved)))
         if self.wheels is not None and wheel is not None:
             self.wheels.add(graph, k, wheel)
         before = gtsam.NavState(gtsam.Pose3(self.state.T_odom_imu), self.state.velocity_mps)

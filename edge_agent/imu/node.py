@@ -257,7 +257,7 @@ class ImuNode:
         else:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
             wheel = self._wheels_at_scan(window)
-            self.graph.add(reply.stamp_ns, T_server_imu, window, self._noise(), reply.degenerate, wheel)
+            self.graph.add(reply.stamp_ns, T_server_imu, window, self._noise(), self._axes_imu(reply), wheel)
             if self.graph.failed:
                 self.resets += 1
                 self._started = False
@@ -267,6 +267,10 @@ class ImuNode:
         self._take(self.graph.state)
         self.T_map_odom = reply.T_map_lidar @ se3.inv(T_odom_lidar)
         self.covariance, self.state = reply.covariance, reply.state
+
+    def _axes_imu(self, reply: OdometryReply) -> Array:
+        """The unobserved directions (A, 6) of the IMU's pose: the LiDAR's, moved by the extrinsics."""
+        return reply.degenerate_axes @ se3.adjoint(self.T_imu_lidar).T
 
     def _wheels_at_scan(self, window: ImuWindow) -> WheelVelocity | None:
         if self.wheels is None:

@@ -18,8 +18,7 @@ class ImuSettings(Model):
     prior_velocity_mps: float = 10.0
     lidar_rotation_rad: float = 0.003
     lidar_translation_m: float = 0.01
-    degenerate_rotation_rad: float = 0.3
-    degenerate_translation_m: float = 1.0
+    unobserved_m: float = 10.0
     max_velocity_mps: float = 80.0
     max_bias_accel_mps2: float = 2.0
     max_bias_gyro_radps: float = 1.0

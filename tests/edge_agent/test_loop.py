@@ -85,7 +85,7 @@ class FakeUplink:
 
     def send(self, frame: pb.Frame) -> None:
         pose = np.eye(4)
-        reply = OdometryReply(frame.seq, frame.stamp_ns, pose, pose, np.eye(6), 2, False)
+        reply = OdometryReply(frame.seq, frame.stamp_ns, pose, pose, np.eye(6), 2, np.zeros((0, 6)))
         self.ready.append(Answer(reply, False, None, 0.01))
 
     def take_answers(self) -> list[Answer]:

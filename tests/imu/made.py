@@ -74,7 +74,7 @@ def play(node: ImuNode, drive: Drive, seconds: float, rate_hz: float = 200.0, *,
         if k == 0:
             level = se3.compose(se3.level_rotation(-motion.gravity_lidar), np.zeros(3))
         T_map_lidar = level @ se3.inv(T0) @ drive.T_odom_imu(k * 0.1) @ se3.inv(description.T_lidar_imu)
-        replies.append(OdometryReply(k + 1, start, T_map_lidar, np.eye(4), np.eye(6) * 1e-4, 2, False))
+        replies.append(OdometryReply(k + 1, start, T_map_lidar, np.eye(4), np.eye(6) * 1e-4, 2, np.zeros((0, 6))))
         yield k, start, motion, poses
 
 

@@ -87,7 +87,7 @@ def test_a_late_or_rejected_answer_changes_nothing():
     for rejected, age in (("corrupt", 1), ("", 30)):
         far = se3.compose(np.eye(3), np.array([50.0, 0, 0]))
         stamp = START_NS + (last - age) * SCAN_NS
-        node.on_odometry(OdometryReply(last - age, stamp, far, np.eye(4), np.eye(6), 2, False, rejected))
+        node.on_odometry(OdometryReply(last - age, stamp, far, np.eye(4), np.eye(6), 2, np.zeros((0, 6)), rejected))
     assert node._anchor is before
 
 
@@ -125,7 +125,7 @@ def test_without_an_imu_the_last_twist_goes_on(enabled):
     for k in range(20):
         start = START_NS + k * SCAN_NS
         if k >= 2:
-            node.on_odometry(OdometryReply(k - 1, start - 2 * SCAN_NS, poses[k - 2], np.eye(4), np.eye(6), 2, False))
+            node.on_odometry(OdometryReply(k - 1, start - 2 * SCAN_NS, poses[k - 2], np.eye(4), np.eye(6), 2, np.zeros((0, 6))))
         motion = node.motion_over(start, start + SCAN_NS)
         poses.append(T)
         T = T @ step
