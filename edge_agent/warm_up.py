@@ -35,7 +35,9 @@ def warm_up(
             node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))
         pose = node.T_odom_lidar_at(frame.stamp_ns)
-        node.on_odometry(OdometryReply(frame.seq, frame.stamp_ns, pose, np.eye(4), np.eye(6) * 1e-4, 2, np.zeros((0, 6))))
+        node.on_odometry(
+            OdometryReply(frame.seq, frame.stamp_ns, pose, np.eye(4), np.eye(6) * 1e-4, 2, np.zeros((0, 6)))
+        )
 
 
 def _still(start_ns: int, robot: Robot) -> ImuSamples:

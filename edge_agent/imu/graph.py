@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
+from gtsam.symbol_shorthand import A, B, V, X
 from numpy.typing import NDArray
 
 from edge_agent.imu.buffer import ImuWindow
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.wheel_factor import WheelFactors, WheelVelocity
+from splitslam import se3
 
 Array = NDArray[np.float64]
 _MAX_STEP_NS = 10_000_000
-A_KEY = gtsam.symbol("a", 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,11 +77,11 @@ class LocalGraph:
         bias = gtsam.imuBias.ConstantBias(state.bias[3:], state.bias[:3])
         graph.add(gtsam.PriorFactorConstantBias(B(0), bias, bias_noise))
         server = gtsam.Pose3(T_server_imu)
-        graph.add(gtsam.BetweenFactorPose3(A_KEY, X(0), server, self._lidar_noise(np.zeros((0, 6)))))
+        graph.add(gtsam.BetweenFactorPose3(A(0), X(0), server, self._lidar_noise(np.zeros((0, 6)))))
         values.insert(X(0), pose)
         values.insert(V(0), state.velocity_mps)
         values.insert(B(0), bias)
-        values.insert(A_KEY, pose.compose(server.inverse()))
+        values.insert(A(0), pose.compose(server.inverse()))
         if self.wheels is not None:
             self.wheels.begin(graph, values, reset=False)
         self._begin(graph, values)
@@ -105,6 +105,14 @@ class LocalGraph:
         covariance = np.diag(np.repeat([s.lidar_rotation_rad**2, s.lidar_translation_m**2], 3))
         covariance += s.unobserved_m**2 * unobserved.T @ unobserved
         return _robust(gtsam.noiseModel.Gaussian.Covariance(covariance))
+
+    def _drift(self, T_server_imu: Array, seconds: float) -> gtsam.noiseModel.Base:
+        """How the server's odometry frame may have bent in `odom` meanwhile: about the robot, not about its origin."""
+        s = self.settings
+        rotation, translation = s.drift_rotation_rad_rts**2 * seconds, s.drift_translation_m_rts**2 * seconds
+        local = np.diag(np.repeat([rotation, translation], 3))
+        to_frame = se3.adjoint(T_server_imu)
+        return gtsam.noiseModel.Gaussian.Covariance(to_frame @ local @ to_frame.T)
 
     def _preintegrate(self, window: ImuWindow, noise: ImuNoise) -> gtsam.PreintegratedImuMeasurements:
         parameters = gtsam.PreintegrationParams.MakeSharedU(self.gravity_mps2)
@@ -144,7 +152,9 @@ class LocalGraph:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         graph.add(gtsam.ImuFactor(X(k - 1), V(k - 1), X(k), V(k), B(k - 1), pim))
         graph.add(gtsam.BetweenFactorConstantBias(B(k - 1), B(k), gtsam.imuBias.ConstantBias(), walk))
-        graph.add(gtsam.BetweenFactorPose3(A_KEY, X(k), gtsam.Pose3(T_server_imu), self._lidar_noise(unobserved)))
+        server = gtsam.Pose3(T_server_imu)
+        graph.add(gtsam.BetweenFactorPose3(A(k), X(k), server, self._lidar_noise(unobserved)))
+        graph.add(gtsam.BetweenFactorPose3(A(k - 1), A(k), gtsam.Pose3(), self._drift(T_server_imu, seconds)))
         if self.wheels is not None and wheel is not None:
             self.wheels.add(graph, k, wheel)
         before = gtsam.NavState(gtsam.Pose3(self.state.T_odom_imu), self.state.velocity_mps)
@@ -153,6 +163,7 @@ class LocalGraph:
         values.insert(X(k), guess.pose())
         values.insert(V(k), guess.velocity())
         values.insert(B(k), bias)
+        values.insert(A(k), guess.pose().compose(server.inverse()))
         self.isam.update(graph, values)
         self.isam.update()
         self.key = k
@@ -176,19 +187,19 @@ class LocalGraph:
         """LIO-SAM's bound on the graph: start again from the last key with its marginals as priors."""
         k = self.key
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        keys = ((X(k), X(0)), (V(k), V(0)), (B(k), B(0)), (A_KEY, A_KEY))
+        keys = ((X(k), X(0)), (V(k), V(0)), (B(k), B(0)), (A(k), A(0)))
         noise = [gtsam.noiseModel.Gaussian.Covariance(self.isam.marginalCovariance(old)) for old, _ in keys]
-        pose, server = self.isam.calculateEstimatePose3(X(k)), self.isam.calculateEstimatePose3(A_KEY)
+        pose, server = self.isam.calculateEstimatePose3(X(k)), self.isam.calculateEstimatePose3(A(k))
         velocity = self.isam.calculateEstimateVector(V(k))
         bias = self.isam.calculateEstimateConstantBias(B(k))
         graph.add(gtsam.PriorFactorPose3(X(0), pose, noise[0]))
         graph.add(gtsam.PriorFactorVector(V(0), velocity, noise[1]))
         graph.add(gtsam.PriorFactorConstantBias(B(0), bias, noise[2]))
-        graph.add(gtsam.PriorFactorPose3(A_KEY, server, noise[3]))
+        graph.add(gtsam.PriorFactorPose3(A(0), server, noise[3]))
         values.insert(X(0), pose)
         values.insert(V(0), velocity)
         values.insert(B(0), bias)
-        values.insert(A_KEY, server)
+        values.insert(A(0), server)
         if self.wheels is not None:
             self.wheels.begin(graph, values, reset=True)
         self._begin(graph, values)

@@ -16,9 +16,11 @@ class ImuSettings(Model):
     prior_bias_accel_mps2: float = 0.1
     prior_bias_gyro_radps: float = 0.01
     prior_velocity_mps: float = 10.0
-    lidar_rotation_rad: float = 0.003
-    lidar_translation_m: float = 0.01
+    lidar_rotation_rad: float = 0.001
+    lidar_translation_m: float = 0.004
     unobserved_m: float = 10.0
+    drift_rotation_rad_rts: float = 5e-4
+    drift_translation_m_rts: float = 0.005
     max_velocity_mps: float = 80.0
     max_bias_accel_mps2: float = 2.0
     max_bias_gyro_radps: float = 1.0

@@ -122,7 +122,9 @@ def play(
         seen = T_map_lidar.copy()
         seen[:3, 3] += rng.normal(0, service.noise_m, 3)
         blind = t >= service.blind_s
-        replies.append(OdometryReply(k + 1, start, seen, np.eye(4), np.eye(6) * 1e-4, 3 if blind else 2, np.eye(6)[: 6 * blind]))
+        replies.append(
+            OdometryReply(k + 1, start, seen, np.eye(4), np.eye(6) * 1e-4, 3 if blind else 2, np.eye(6)[: 6 * blind])
+        )
         T_odom = node.T_odom_lidar_at(start)
         if t <= since_s:
             reference = T_odom @ se3.inv(T_true)

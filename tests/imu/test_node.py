@@ -125,7 +125,9 @@ def test_without_an_imu_the_last_twist_goes_on(enabled):
     for k in range(20):
         start = START_NS + k * SCAN_NS
         if k >= 2:
-            node.on_odometry(OdometryReply(k - 1, start - 2 * SCAN_NS, poses[k - 2], np.eye(4), np.eye(6), 2, np.zeros((0, 6))))
+            node.on_odometry(
+                OdometryReply(k - 1, start - 2 * SCAN_NS, poses[k - 2], np.eye(4), np.eye(6), 2, np.zeros((0, 6)))
+            )
         motion = node.motion_over(start, start + SCAN_NS)
         poses.append(T)
         T = T @ step
