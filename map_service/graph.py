@@ -1,7 +1,7 @@
-"""The factor graph of one session: keyframe poses under LiDAR odometry, GNSS and loop closures (iSAM2).
+"""The factor graph of one session: keyframe poses under LiDAR odometry, GNSS, gravity and loop closures (iSAM2).
 
-Keys: x(i) = T_map_lidar of keyframe i; z0 = T_enu_map. Every factor is kept in its own versioned encoding, so that
-the store can hold it and a restart can build the graph again.
+Keys: x(i) = T_map_lidar of keyframe i; z(d) = T_enu_map of datum d (gnss.py). Every factor is kept in its own versioned
+encoding, so that the store can hold it and a restart can build the graph again.
 """
 
 from __future__ import annotations
@@ -11,16 +11,19 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import X, Z
 from numpy.typing import NDArray
 
+from map_service.gnss import GnssMeasurement
+from map_service.levelling import DOWN
 from map_service.settings import GraphSettings
 from map_service.types import FactorRecord
 from splitslam import se3
 
 Array = NDArray[np.float64]
-ENU_KEY = gtsam.symbol("z", 0)
 _VERSION = 1
+_OFFSET_FIXES = 4
+_FIXED = 1e-4  # rad and m: what defines `map`
 
 
 class PoseGraph:
@@ -29,7 +32,12 @@ class PoseGraph:
     def __init__(self, settings: GraphSettings) -> None:
         self.settings = settings
         parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(settings.relinearise_threshold)
+        thresholds = gtsam.ISAM2ThresholdMap()
+        thresholds.insert(("x", np.full(6, settings.relinearise_threshold)))
+        # T_enu_map is part of every clique: relinearised for its translation, in which the error is linear, it would
+        # have the whole graph eliminated anew with each fix
+        thresholds.insert(("z", np.repeat([settings.relinearise_enu_rad, np.inf], 3)))
+        parameters.setRelinearizeThreshold(thresholds)
         parameters.relinearizeSkip = 1
         self._isam = gtsam.ISAM2(parameters)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -37,13 +45,15 @@ class PoseGraph:
         self.records: list[FactorRecord] = []
         self.poses: list[Array] = []
         self.loops: list[tuple[int, int]] = []  # (older, newer) keyframes
-        self.T_enu_map: Array | None = None
+        self.data: dict[int, Array] = {}  # datum -> T_enu_map
+        self._fixes: dict[int, list[tuple[int, Array, Array]]] = {}  # datum -> (keyframe, antenna in it, enu)
 
     # --- what the session adds --------------------------------------------------------------------------------
 
-    def add_first(self, T_map_lidar: Array) -> None:
-        """Keyframe 0 defines `map`."""
-        self._record("prior", {"pose": _flat(T_map_lidar)}, T_map_lidar)
+    def add_first(self, T_map_lidar: Array, tilt_sigma_rad: float = 0.0) -> None:
+        """Keyframe 0 defines `map`, but for what is level: that it knows to `tilt_sigma_rad`."""
+        tilt = float(np.clip(tilt_sigma_rad, *self.settings.first_tilt_rad))
+        self._record("prior", {"pose": _flat(T_map_lidar), "tilt": tilt}, T_map_lidar)
 
     def add_odometry(self, T_map_lidar: Array, T_previous_lidar: Array, covariance: Array) -> None:
         """Keyframe n with its motion since keyframe n - 1, covariance (6, 6), right tangent, rotation first."""
@@ -61,10 +71,24 @@ class PoseGraph:
         payload = {"motion": _flat(T_older_newer), "sigmas": [float(s) for s in sigmas], "robust": float(robust_sigmas)}
         self._record("loop", {"older": older, "newer": newer, **payload})
 
-    def add_gnss(self, keyframe: int, antenna_lidar: Array, enu_m: Array, sigmas_m: Array, T_enu_map: Array) -> None:
-        """An antenna position: antenna_lidar (3,) in the keyframe's frame, enu_m (3,); T_enu_map is the first guess."""
-        payload = {"antenna": antenna_lidar.tolist(), "enu": enu_m.tolist(), "sigmas": sigmas_m.tolist()}
-        self._record("gnss", {"keyframe": keyframe, **payload, "guess": _flat(T_enu_map)})
+    def add_gnss(self, measurement: GnssMeasurement) -> None:
+        """An antenna position, with the guess of T_enu_map in case it is the first of its datum."""
+        fix, weight = measurement.fix, measurement.weight.against(self.gnss_offset_m(measurement.datum))
+        payload = {
+            "keyframe": fix.keyframe,
+            "antenna": fix.antenna_keyframe.tolist(),
+            "enu": fix.enu_m.tolist(),
+            "sigmas": weight.sigmas_m.tolist(),
+            "robust": weight.robust_sigmas,
+            "datum": measurement.datum,
+            "guess": _flat(measurement.T_enu_map),
+            "tilt": float(np.clip(self.settings.enu_tilt_rad_per_m * weight.noise_m[2], 0.01, 0.3)),
+        }
+        self._record("gnss", payload)
+
+    def add_gravity(self, keyframe: int, down_lidar: Array, sigma_rad: float) -> None:
+        """Where down is, (3,) unit vector in the keyframe's frame."""
+        self._record("gravity", {"keyframe": keyframe, "down": down_lidar.tolist(), "sigma": float(sigma_rad)})
 
     def _record(self, kind: str, payload: dict, T_new: Array | None = None) -> None:
         data = json.dumps({"v": _VERSION, **payload}).encode()
@@ -80,8 +104,12 @@ class PoseGraph:
             self._values.insert(X(len(self.poses)), gtsam.Pose3(T_new))
             self.poses.append(T_new)
         if record.kind == "prior":
-            noise = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
-            self._graph.add(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(_square(p["pose"])), noise))
+            pose, tilt = _square(p["pose"]), p.get("tilt", _FIXED)
+            covariance = np.eye(6) * _FIXED**2
+            # tangents are the robot's axes, tilt is about those of `map`
+            covariance[:3, :3] = pose[:3, :3].T @ np.diag([tilt**2, tilt**2, _FIXED**2]) @ pose[:3, :3]
+            noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+            self._graph.add(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(pose), noise))
         elif record.kind == "odometry":
             noise = gtsam.noiseModel.Gaussian.Covariance(np.reshape(p["covariance"], (6, 6)))
             motion = gtsam.Pose3(_square(p["motion"]))
@@ -93,39 +121,72 @@ class PoseGraph:
             self._graph.add(gtsam.BetweenFactorPose3(X(p["older"]), X(p["newer"]), motion, _cauchy(noise, p["robust"])))
         elif record.kind == "gnss":
             self._add_gnss_factor(p)
+        elif record.kind == "gravity":
+            noise = gtsam.noiseModel.Isotropic.Sigma(2, p["sigma"])
+            down = gtsam.Unit3(np.array(p["down"]))
+            self._graph.add(gtsam.AttitudeFactorPose3(X(p["keyframe"]), gtsam.Unit3(DOWN), noise, down))
         else:
-            raise ValueError(f"factor kind {record.kind!r} is none of prior, odometry, loop, gnss")
+            raise ValueError(f"factor kind {record.kind!r} is none of prior, odometry, loop, gnss, gravity")
 
     def _add_gnss_factor(self, p: dict) -> None:
-        if self.T_enu_map is None:
+        datum = p.get("datum", 0)
+        if datum not in self.data:
             guess = _square(p["guess"])
-            self.T_enu_map = guess
-            # yaw and translation are free; the tilt of `map` is known from gravity
-            noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.01, 0.01, 3.0, 1e3, 1e3, 1e3]))
-            self._values.insert(ENU_KEY, gtsam.Pose3(guess))
-            self._graph.add(gtsam.PriorFactorPose3(ENU_KEY, gtsam.Pose3(guess), noise))
-        error = _gnss_error(np.array(p["antenna"]), np.array(p["enu"]))
-        kernel = gtsam.noiseModel.mEstimator.Huber.Create(self.settings.gnss_robust_sigmas)
-        noise = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Diagonal.Sigmas(np.array(p["sigmas"])))
+            self.data[datum] = guess
+            # yaw and translation are free; the tilt of `map` is known from gravity, but not so well that the noise of
+            # altitudes may turn `map` rather than this
+            tilt = p.get("tilt", 0.01)
+            noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([tilt, tilt, 3.0, 1e3, 1e3, 1e3]))
+            self._values.insert(Z(datum), gtsam.Pose3(guess))
+            self._graph.add(gtsam.PriorFactorPose3(Z(datum), gtsam.Pose3(guess), noise))
+        antenna, enu = np.array(p["antenna"]), np.array(p["enu"])
+        self._fixes.setdefault(datum, []).append((p["keyframe"], antenna, enu))
+        error = _gnss_error(antenna, enu)
+        noise = _cauchy(gtsam.noiseModel.Diagonal.Sigmas(np.array(p["sigmas"])), p.get("robust", 3.0))
         self._alive.append(error)
-        self._graph.add(gtsam.CustomFactor(noise, [ENU_KEY, X(p["keyframe"])], error))
+        self._graph.add(gtsam.CustomFactor(noise, [Z(datum), X(p["keyframe"])], error))
+
+    @property
+    def T_enu_map(self) -> Array | None:
+        """(4, 4) of the datum with the most fixes; None before there is one."""
+        if not self.data:
+            return None
+        return self.data[max(self._fixes, key=lambda datum: len(self._fixes[datum]))]
+
+    def gnss_offset_m(self, datum: int) -> Array:
+        """(3,) m: by how much the trajectory misses the newest fixes of a datum (median); zero while they are few."""
+        newest = self._fixes.get(datum, [])[-_OFFSET_FIXES:]
+        if len(newest) < _OFFSET_FIXES:
+            return np.zeros(3)
+        T = self.data[datum]
+        in_map = [self.poses[i][:3, :3] @ antenna + self.poses[i][:3, 3] for i, antenna, _ in newest]
+        return np.median(np.array(in_map) @ T[:3, :3].T + T[:3, 3] - np.array([enu for *_, enu in newest]), axis=0)
 
     # --- estimate ---------------------------------------------------------------------------------------------
 
-    def optimise(self, corrected: bool) -> None:
-        """Takes the new factors in; with `corrected` (a loop or GNSS came) iterates and reads all poses again."""
+    def optimise(self, corrected: bool, far: bool = True) -> None:
+        """Takes the new factors in; with `corrected` (not odometry alone) reads all poses again.
+
+        far: poses may move so far that one linearisation will not do, as loops move them and fixes do not.
+        """
         self._isam.update(self._graph, self._values)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if not corrected:
             return  # a chain of odometry alone: nothing before the new keyframe can have moved
-        for _ in range(self.settings.extra_updates):
+        for _ in range(self.settings.extra_updates if far else 0):
             self._isam.update()
         estimate = self._isam.calculateEstimate()
         rows = gtsam.utilities.extractPose3(estimate)
         for i in range(len(self.poses)):
             self.poses[i] = _from_row(rows[i])
-        if self.T_enu_map is not None:
-            self.T_enu_map = _from_row(rows[len(self.poses)])
+        for row, datum in zip(rows[len(self.poses) :], sorted(self.data), strict=True):  # rows come by key: x, z
+            self.data[datum] = _from_row(row)
+
+    def tilt_sigma_rad(self, keyframe: int) -> float:
+        """How well the graph knows what is level at a keyframe it has optimised."""
+        R = self.poses[keyframe][:3, :3]
+        covariance = R @ self._isam.marginalCovariance(X(keyframe))[:3, :3] @ R.T
+        return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
 
     @classmethod
     def restore(cls, settings: GraphSettings, records: list[FactorRecord], poses: list[Array]) -> PoseGraph:

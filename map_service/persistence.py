@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from map_service.pipeline import MapPipeline
 
 Array = NDArray[np.float64]
-_VERSION = 1
+_VERSION = 2
 _MOVED = 1e-6
 
 
@@ -104,8 +104,10 @@ def dump(pipeline: MapPipeline) -> bytes:
             "T_map_local": pipeline.T_map_local.tolist(),
             "T_map_odom": pipeline.T_map_odom.tolist(),
             "gnss": None if pipeline.gnss is None else pipeline.gnss.dump(),
+            "leveller": pipeline.leveller.dump(),
             "loops": pipeline.stats.loops,
             "gnss_factors": pipeline.stats.gnss_factors,
+            "gravity_factors": pipeline.stats.gravity_factors,
             "corrections": pipeline.stats.corrections,
             "largest_correction_m": pipeline.stats.largest_correction_m,
             "closer": None if pipeline.closer is None else pipeline.closer.dump(),
@@ -151,10 +153,12 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     )
     if pipeline.gnss is not None and data["gnss"] is not None:
         pipeline.gnss.load(data["gnss"])
+    pipeline.leveller.load(data["leveller"])
     if pipeline.closer is not None and data["closer"] is not None:
         pipeline.closer.load(data["closer"], pipeline.keyframes, pipeline.graph.poses)
     pipeline.stats.loops = int(data["loops"])
     pipeline.stats.gnss_factors = int(data["gnss_factors"])
+    pipeline.stats.gravity_factors = int(data["gravity_factors"])
     pipeline.stats.corrections = dict(data["corrections"])
     pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
     pipeline.frames = list(snapshot.frames)

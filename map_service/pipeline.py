@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from map_service import persistence
 from map_service.closing import LoopCloser
-from map_service.gnss import GnssGate
+from map_service.gnss import GnssGate, Place
 from map_service.graph import PoseGraph
 from map_service.keyframes import Keyframes
+from map_service.levelling import Leveller
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import PipelineStatistics
 from map_service.settings import PipelineSettings
-from map_service.tracker import Track, Tracker
+from map_service.tracker import Track, Tracker, TrackerState
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
 from splitslam import se3
 from splitslam.features import FeatureFrame
@@ -47,6 +48,7 @@ class MapPipeline:
         self.graph = PoseGraph(settings.graph)
         self.keyframes = Keyframes()
         self.gnss = None if "gnss" in disable or robot.gnss is None else GnssGate(settings.gnss)
+        self.leveller = Leveller(settings.level)
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
@@ -58,14 +60,16 @@ class MapPipeline:
     def process(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:
         """Maps one frame; frames come once and in order."""
         started = time.perf_counter(), time.thread_time()
-        before = self.tracker.state
+        before, T_map_local = self.tracker.state, self.T_map_local  # a rebuild will rename `local`
         track = self.tracker.process(frame)
         registered = time.perf_counter(), time.thread_time()
         if track.first_again is not None:
             self.keyframes.replace_first(*track.first_again)
             self.log.keyframe(self.keyframes[0], self.graph.poses[0])
-        cause = self._add_keyframe(frame, track) if track.keyframe else None
-        cause = self._add_fixes(frame, fixes, track, before) or cause
+        if track.keyframe:
+            self._add_keyframe(frame, track)
+        cause = self._level(frame) if track.keyframe else None
+        cause = self._add_fixes(frame, fixes, track, before, T_map_local) or cause
         cause = self._apply_loops(frame.seq) or cause
         correction = self._correct(cause) if cause else None
         answer = self._answer(frame, track, correction, started, registered)
@@ -78,10 +82,13 @@ class MapPipeline:
         T_map_lidar = self.T_map_local @ track.T_local_lidar
         index = len(self.keyframes)
         if track.registration is None:
-            self.graph.add_first(T_map_lidar)
+            self.graph.add_first(T_map_lidar, frame.motion.gravity_sigma_rad)
         else:
             motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
-            self.graph.add_odometry(T_map_lidar, motion, self._odometry_covariance(track, motion))
+            covariance = self._odometry_covariance(track, motion)
+            self.graph.add_odometry(T_map_lidar, motion, covariance)
+            if self.gnss is not None:
+                self.gnss.moved(covariance)
         self.keyframes.add(frame, track)
         self.tracker.insert(index, track.T_local_lidar, track.corners_lidar, track.surfs_lidar)
         self.graph.optimise(corrected=False)
@@ -101,28 +108,49 @@ class MapPipeline:
         floor = np.diag(np.repeat([s.odometry_rotation_rad**2, translation**2], 3))
         return track.registration.covariance + floor
 
-    def _add_fixes(self, frame: FeatureFrame, fixes: Sequence[GnssFix], track: Track, before) -> Cause | None:
-        if self.gnss is None or self.robot.gnss is None or before is None:
+    def _level(self, frame: FeatureFrame) -> Cause | None:
+        """A step towards level, when `map` is not; the cause is `registration`, whose tilt has drifted or began so."""
+        if frame.motion.velocity_known:
+            self.leveller.look(len(self.keyframes) - 1, frame.motion.gravity_lidar, frame.motion.gravity_sigma_rad)
+        tilt = self.leveller.tilt(self.graph.poses)
+        if tilt is None:
+            return None
+        sigma_rad = self.leveller.factor_sigma_rad(tilt, self.graph.tilt_sigma_rad(tilt.keyframe))
+        self.graph.add_gravity(tilt.keyframe, tilt.down_lidar, sigma_rad)
+        self.stats.gravity_factors += 1
+        return Cause.REGISTRATION
+
+    def _add_fixes(
+        self,
+        frame: FeatureFrame,
+        fixes: Sequence[GnssFix],
+        track: Track,
+        before: TrackerState | None,
+        T_map_local: Array,
+    ) -> Cause | None:
+        """T_map_local: that of `before` and `track`."""
+        if self.gnss is None or self.robot.gnss is None:
+            return None
+        if before is None:
+            self.gnss.reject("early", len(fixes))
             return None
         antenna = np.asarray(self.robot.gnss.t_lidar_antenna_m, float)
-        T_map_keyframe = self.graph.poses[-1]
+        T_keyframe_map, T_odom_map = se3.inv(self.graph.poses[-1]), se3.inv(self.T_map_odom)
         added = False
         for fix in fixes:
             ratio = (fix.stamp_ns - before.stamp_ns) / (frame.stamp_ns - before.stamp_ns)
             if not -2.0 <= ratio <= 3.0:  # further off than the motion of one scan can carry a pose
                 self.gnss.reject("late")
                 continue
-            T_local = se3.interpolate(before.T_local_lidar, track.T_local_lidar, ratio)
-            T_keyframe = se3.inv(self.keyframes.T_local(len(self.keyframes) - 1)) @ T_local
-            antenna_keyframe = T_keyframe[:3, :3] @ antenna + T_keyframe[:3, 3]
-            antenna_map = T_map_keyframe[:3, :3] @ antenna_keyframe + T_map_keyframe[:3, 3]
-            measurement = self.gnss.offer(fix, antenna_map, self.graph.T_enu_map)
-            if measurement is None:
-                continue
-            m = measurement
-            self.graph.add_gnss(len(self.keyframes) - 1, antenna_keyframe, m.enu_m, m.sigmas_m, m.T_enu_map)
-            self.stats.gnss_factors += 1
-            added = True
+            T_map_lidar = T_map_local @ se3.interpolate(before.T_local_lidar, track.T_local_lidar, ratio)
+            antenna_map = _at(T_map_lidar, antenna)
+            place = Place(
+                len(self.keyframes) - 1, _at(T_keyframe_map, antenna_map), _at(T_odom_map, antenna_map), self.T_map_odom
+            )
+            for measurement in self.gnss.offer(fix, place):
+                self.graph.add_gnss(measurement)
+                self.stats.gnss_factors += 1
+                added = True
         return Cause.GNSS if added else None
 
     def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
@@ -146,7 +174,7 @@ class MapPipeline:
 
     def _correct(self, cause: Cause) -> CorrectionRecord | None:
         """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
-        self.graph.optimise(corrected=True)
+        self.graph.optimise(corrected=True, far=cause != Cause.GNSS)
         last = len(self.keyframes) - 1
         T_before = self.T_map_local @ self.keyframes.T_local(last)
         delta = self.graph.poses[last] @ se3.inv(T_before)
@@ -259,3 +287,7 @@ class MapPipeline:
         pipeline = cls(robot, settings, verifier, disable, deskew)
         persistence.load(pipeline, snapshot)
         return pipeline
+
+
+def _at(T: Array, point: Array) -> Array:
+    return T[:3, :3] @ point + T[:3, 3]

@@ -18,6 +18,7 @@ class PipelineStatistics:
     def __init__(self) -> None:
         self.loops = 0
         self.gnss_factors = 0
+        self.gravity_factors = 0
         self.corrections: dict[str, int] = {}
         self.largest_correction_m = 0.0
         self.degenerate_frames = 0
@@ -49,6 +50,7 @@ class PipelineStatistics:
             "loops": self.loops,
             "loops_rejected": loops_rejected,
             "gnss_factors": self.gnss_factors,
+            "gravity_factors": self.gravity_factors,
             "gnss_rejected": gnss_rejected,
             "map_count": sum(self.corrections.values()),
             "map_max_m": self.largest_correction_m,

@@ -75,8 +75,10 @@ class GraphSettings(Model):
     """The factor graph."""
 
     relinearise_threshold: float = 0.01
+    relinearise_enu_rad: float = 0.003
     extra_updates: int = 3
-    gnss_robust_sigmas: float = 1.5
+    first_tilt_rad: tuple[float, float] = Field(default=(0.002, 0.1), description="least and most doubt of the start")
+    enu_tilt_rad_per_m: float = Field(default=0.3, description="doubt of T_enu_map's tilt by the noise of altitudes")
     odometry_rotation_rad: float = 5e-4
     odometry_translation_m: float = 0.003
     odometry_translation_share: float = 0.002
@@ -86,18 +88,41 @@ class GraphSettings(Model):
     report_rad: float = 0.0002
 
 
+class LevelSettings(Model):
+    """When the map is turned to be level."""
+
+    keyframes: int = Field(default=10, description="that must have been seen; their median counts")
+    tolerable_rad: float = 0.01
+    sigmas: float = 2.0
+    until_share: float = Field(default=0.3, description="of what is tolerable: where levelling ends")
+    step_rad: float = 0.002
+
+
 class GnssSettings(Model):
     """Which fixes become factors, and how strongly."""
 
-    spacing_m: float = 5.0
-    start_distance_m: float = 5.0
-    start_sigmas: float = 5.0
-    floor_m: float = 0.5
-    unknown_sigma_m: float = 3.0
+    floor_m: float = Field(default=0.02, description="antenna and time stamps are not known better than this")
+    unknown_sigma_m: float = Field(default=3.0, description="horizontal, when the receiver does not say")
     max_sigma_m: float = 5.0
     gate_sigmas: float = 3.0
-    drift_share: float = 0.02
-    correlation: float = Field(default=3.0, description="errors of fixes 5 m apart are alike: each counts for less")
+    drift_share: float = Field(default=0.005, description="deviation of the odometry's drift, share of the way")
+    majority: float = Field(default=0.6, description="share of the fixes before it that a fix must agree with")
+    keep: int = Field(default=32, description="fixes of a datum that new ones are compared with")
+    spacing_m: float = Field(default=5.0, description="between fixes that become factors")
+    trust_m: float = Field(default=30.0, description="way after which one fix alone does not continue a datum")
+    confirm_s: float = Field(default=8.0, description="how long fixes must agree before they continue it")
+    start_spacing_m: float = 1.0
+    start_distance_m: float = 5.0
+    start_sigmas: float = 5.0
+    start_fixes: int = 4
+    renew_s: float = Field(default=10.0, description="how long fixes must agree before they replace a datum")
+    widen_s: float = Field(default=60.0, description="how long none must agree before more drift is believed")
+    max_waiting: int = 64
+    max_data: int = 8
+    path_step_m: float = 0.5
+    correlation_s: float = Field(default=30.0, description="how long errors of code-phase fixes last")
+    correlated_sigma_m: float = Field(default=0.5, description="smaller errors last shorter, in proportion")
+    robust_sigmas: float = 3.0
 
 
 class LoopSettings(Model):
@@ -126,6 +151,7 @@ class PipelineSettings(Model):
     tracker: TrackerSettings = TrackerSettings()
     graph: GraphSettings = GraphSettings()
     gnss: GnssSettings = GnssSettings()
+    level: LevelSettings = LevelSettings()
     loops: LoopSettings = LoopSettings()
     commit_frames: int = 20
     commit_s: float = 1.0

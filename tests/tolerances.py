@@ -37,3 +37,5 @@ ODOM_STEP_M = 0.02
 ODOM_STEP_DEG = 0.3
 # Drift along the way with wheels that are off by 1 % and no LiDAR, share of the way: no worse than the wheels' own.
 WHEELS_DRIFT_SHARE = 0.01
+# What a fault of the GNSS receiver (a jump of 15 m for 6 s, and its kin) may move the map.
+GNSS_JUMP_MOVES_MAP_M = 0.3

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from map_service.graph import PoseGraph
+from map_service.levelling import DOWN, Leveller
+from map_service.settings import GraphSettings, LevelSettings
+from map_service.types import Cause
+from splitslam import se3
+from tests.map_pipeline.made_drives import Odometry, ahead, driven, rounds
+
+ONE_DEGREE = float(np.radians(1.0))
+EXACT = Odometry()
+TILTED = Odometry(first_tilt_rad=ONE_DEGREE)
+PITCHING = Odometry(drift=(0.0, 1e-4, 0.0, 0.0, 0.0, 0.0))  # 0.57 degrees in 100 m
+
+
+def tilt_rad(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(n,): angle between up in `map` and up in the true map, seen from each pose."""
+    up = np.einsum("nij,nkj->nik", poses[:, :3, :3], truth[:, :3, :3])[:, :, 2]
+    return np.arccos(np.clip(up[:, 2], -1.0, 1.0))
+
+
+def test_a_start_one_degree_askew_is_levelled_in_small_steps():
+    truth = ahead(80.0, 2.0)
+    outcome = driven(truth, [], TILTED)
+    tilt = tilt_rad(outcome.online, truth)
+    assert tilt[10] == pytest.approx(ONE_DEGREE, rel=1e-3)
+    assert tilt[-1] < 0.3 * ONE_DEGREE
+    assert {c.cause for c in outcome.corrections} == {Cause.REGISTRATION}
+    assert max(c.rotation_rad for c in outcome.corrections) < 1.1 * LevelSettings().step_rad
+
+
+def test_levelling_turns_the_drive_and_does_not_bend_it():
+    truth = ahead(80.0, 2.0)
+    outcome = driven(truth, [], TILTED)
+    assert outcome.pipeline.statistics()["gravity_factors"] > 5
+    assert outcome.ate_m(outcome.final) < 1e-3
+
+
+def test_a_map_that_is_level_enough_is_left_alone():
+    truth = ahead(80.0, 2.0)
+    outcome = driven(truth, [], Odometry(first_tilt_rad=0.006))
+    assert outcome.pipeline.statistics()["gravity_factors"] == 0
+    assert not outcome.corrections
+
+
+def test_on_a_long_drive_pitch_drift_is_bounded():
+    truth = rounds(600.0, 6.0, radius_m=200.0)
+    outcome = driven(truth, [], PITCHING)
+    unlevelled_rad = 600.0 * 1e-4
+    tilt = tilt_rad(outcome.online, truth)
+    assert tilt.max() < 0.4 * unlevelled_rad
+    assert tilt[-1] < 0.4 * unlevelled_rad
+    # without gravity it would climb to 600 m * 0.06 rad / 2 = 18 m
+    assert np.abs(outcome.final[:, 2, 3]).max() < 8.0
+
+
+def test_the_doubt_of_gravity_itself_keeps_the_map_from_being_turned():
+    seen = Leveller(LevelSettings())
+    poses = [np.eye(4)] * 20
+    down = se3.so3_exp(np.array([0.03, 0.0, 0.0])) @ DOWN
+    for k in range(20):
+        seen.look(k, down, 0.02)
+    assert seen.tilt(poses) is None
+    for k in range(10, 20):
+        seen.look(k, down, 0.01)
+    tilt = seen.tilt(poses)
+    assert tilt is not None
+    assert tilt.size_rad == pytest.approx(0.03, rel=1e-6)
+
+
+def test_a_gravity_factor_levels_the_graph_about_its_origin_and_survives_a_restart():
+    graph = PoseGraph(GraphSettings())
+    tilted = [
+        se3.compose(se3.so3_exp(np.array([0.0, ONE_DEGREE, 0.0])), np.zeros(3))
+        @ se3.compose(np.eye(3), np.array([float(k), 0.0, 0.0]))
+        for k in range(20)
+    ]
+    graph.add_first(tilted[0], 0.1)
+    graph.optimise(corrected=False)
+    for a, b in itertools.pairwise(tilted):
+        graph.add_odometry(b, se3.inv(a) @ b, np.diag(np.repeat([1e-4**2, 1e-3**2], 3)))
+        graph.optimise(corrected=False)
+    before = graph.tilt_sigma_rad(19)
+    graph.add_gravity(19, DOWN, 0.001)
+    graph.optimise(corrected=True)
+    assert before == pytest.approx(0.1, rel=0.05)
+    assert np.linalg.norm(graph.poses[0][:3, 3]) < 1e-3
+    assert tilt_rad(np.array(graph.poses), np.tile(np.eye(4), (20, 1, 1))).max() < 1e-4
+    again = PoseGraph.restore(GraphSettings(), list(graph.records), list(graph.poses))
+    np.testing.assert_allclose(np.array(again.poses), np.array(graph.poses), atol=1e-6)
+
+
+def test_a_prior_of_an_older_session_is_as_tight_as_it_was():
+    graph = PoseGraph(GraphSettings())
+    graph.add_first(np.eye(4), 0.05)
+    record = graph.records[0]
+    old = json.loads(record.payload)
+    del old["tilt"]
+    again = PoseGraph.restore(GraphSettings(), [type(record)(0, "prior", json.dumps(old).encode())], [np.eye(4)])
+    assert again.tilt_sigma_rad(0) == pytest.approx(1e-4, rel=1e-3)
