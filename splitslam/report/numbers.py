@@ -39,6 +39,8 @@ def assemble(
         "keyframes": session.keyframes,
         "loops": session.loops,
         "gnss_factors": session.gnss_factors,
+        "gnss_rejected": statistics["gnss_rejected"],
+        "gravity_factors": statistics["gravity_factors"],
         "map_ms": statistics["map_ms"],
         "map_wall_ms": statistics["map_wall_ms"],
         "cpu_ms_per_scan": {name: cpu_ms[name] for name in ("edge", "map", "reader")},

@@ -69,7 +69,14 @@ def edge_json() -> dict:
 def statistics_json() -> dict:
     times = {"mean": 4.0, "std": 1.0, "p50": 3.0, "p99": 9.0, "max": 11.0}
     stages = dict.fromkeys(("registration", "graph", "total"), times)
-    return {"map_ms": stages, "map_wall_ms": stages, "cpu_ms": 10.0 * SCANS, "loop_keyframes": [[0, 2]]}
+    return {
+        "gnss_rejected": {"spacing": 3},
+        "gravity_factors": 0,
+        "map_ms": stages,
+        "map_wall_ms": stages,
+        "cpu_ms": 10.0 * SCANS,
+        "loop_keyframes": [[0, 2]],
+    }
 
 
 def _note_pid(name: str) -> None:
