@@ -25,13 +25,14 @@ _MAX_STEP_NS = 10_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationState:
-    """The IMU at `stamp_ns`: T_odom_imu (4, 4), velocity (3,) in `odom`, bias (6,) gyro first, velocity_sigma_mps."""
+    """The IMU at `stamp_ns`: T_odom_imu (4, 4), velocity (3,) in `odom`, bias (6,) gyro first, and what is in doubt."""
 
     stamp_ns: int
     T_odom_imu: Array
     velocity_mps: Array
     bias: Array
     velocity_sigma_mps: float
+    tilt_sigma_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +174,16 @@ class LocalGraph:
         k = self.key
         estimate = self.isam.calculateEstimateConstantBias(B(k))
         sigma = np.sqrt(np.trace(self.isam.marginalCovariance(V(k))) / 3)
+        T_odom_imu = self.isam.calculateEstimatePose3(X(k)).matrix()
+        R = T_odom_imu[:3, :3]
+        tilt = (R @ self.isam.marginalCovariance(X(k))[:3, :3] @ R.T)[:2, :2]
         self.state = NavigationState(
             stamp_ns,
-            self.isam.calculateEstimatePose3(X(k)).matrix(),
+            T_odom_imu,
             np.asarray(self.isam.calculateEstimateVector(V(k))),
             np.concatenate([estimate.gyroscope(), estimate.accelerometer()]),
             float(sigma),
+            max(float(np.sqrt(np.linalg.eigvalsh(tilt)[-1])), self.settings.least_tilt_sigma_rad),
         )
         if self.wheels is not None:
             self.wheels.read(self.isam)

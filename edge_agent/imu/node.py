@@ -181,7 +181,7 @@ class ImuNode:
             velocity_lidar_mps=velocity,
             knots=self._knots(stamps[here:] - start_ns, states[here:]),
             gravity_lidar=-R[2],
-            gravity_sigma_rad=self._tilt_sigma_rad,
+            gravity_sigma_rad=anchor.tilt_sigma_rad,
             velocity_known=self._answers >= 2,
         )
 
@@ -232,7 +232,8 @@ class ImuNode:
         if still:
             bias[:3] = 0.0
         T_odom_imu = T_odom_lidar @ self.T_lidar_imu
-        self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, self.settings.prior_velocity_mps)
+        doubt = self.settings.prior_velocity_mps, self._tilt_sigma_rad
+        self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, *doubt)
         self._live, self._live_ns = _row(self._anchor)[None], start_ns
         self._output = T_odom_imu[:3].reshape(-1)
         self._live_P = np.eye(3) * self._anchor.velocity_sigma_mps**2
@@ -285,16 +286,16 @@ class ImuNode:
     def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
         anchor = self._anchor
         assert anchor is not None
-        state = NavigationState(
-            stamp_ns, anchor.T_odom_imu, anchor.velocity_mps, anchor.bias, self.settings.prior_velocity_mps
-        )
+        doubt = self.settings.prior_velocity_mps, self._tilt_sigma_rad
+        state = NavigationState(stamp_ns, anchor.T_odom_imu, anchor.velocity_mps, anchor.bias, *doubt)
         self.graph.start(state, T_server_imu, self._tilt_sigma_rad)
         self._started = True
 
     def _restart(self, stamp_ns: int, anchor: NavigationState, T_server_imu: Array) -> None:
         """After a failure: where the output says the robot is, velocity unknown, biases forgotten."""
         T_odom_imu = self.T_odom_lidar_at(stamp_ns) @ self.T_lidar_imu
-        self._anchor = NavigationState(stamp_ns, T_odom_imu, np.zeros(3), np.zeros(6), self.settings.prior_velocity_mps)
+        doubt = self.settings.prior_velocity_mps, self._tilt_sigma_rad
+        self._anchor = NavigationState(stamp_ns, T_odom_imu, np.zeros(3), np.zeros(6), *doubt)
         self._start_graph(stamp_ns, T_server_imu)
 
     def _take(self, state: NavigationState) -> None:

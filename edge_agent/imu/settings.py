@@ -16,6 +16,7 @@ class ImuSettings(Model):
     prior_bias_accel_mps2: float = 0.1
     prior_bias_gyro_radps: float = 0.01
     prior_velocity_mps: float = 10.0
+    least_tilt_sigma_rad: float = 0.002
     lidar_rotation_rad: float = 0.001
     lidar_translation_m: float = 0.004
     unobserved_m: float = 10.0

@@ -45,6 +45,19 @@ def test_a_10_hz_imu_is_enough_to_predict_a_scan():
     assert np.median(errors[:, 1]) < 0.01
 
 
+@pytest.mark.parametrize("drive", [Drive(still_s=2.0), Drive(speed_mps=8.0)], ids=["still", "moving"])
+def test_the_doubt_of_where_down_is_falls_and_stays_honest(drive):
+    T_imu_lidar = se3.inv(make_node().robot.T_lidar_imu)
+    errors, sigmas = [], []
+    for k, _, motion, _ in play(make_node(), drive, 20.0):
+        down = (drive.T_odom_imu(k * 0.1) @ T_imu_lidar)[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+        errors.append(np.arccos(np.clip(down @ motion.gravity_lidar, -1.0, 1.0)))
+        sigmas.append(motion.gravity_sigma_rad)
+    assert sigmas[-1] < 0.5 * sigmas[0]
+    late = slice(len(errors) // 2, None)
+    assert np.mean(np.array(errors[late]) < 3.0 * np.array(sigmas[late])) > 0.95
+
+
 def test_the_graph_is_reset_after_its_keys_and_nothing_is_lost():
     errors, node = motion_errors(Drive(still_s=2.0), 15.0, reset_keys=20)
     assert node.graph.key < 20
