@@ -17,8 +17,8 @@ class OdometryReply:
     """The map service's answer to frame `seq`, as the Imu node reads it.
 
     T_map_lidar, T_map_odom: (4, 4). covariance: (6, 6), right tangent, rotation first.
-    degenerate_axes: (A, 6) unit directions, same tangent, that the features did not observe. rejected: why the frame was
-    not mapped, or "".
+    degenerate_axes: (A, 6) unit directions, same tangent, that the features did not observe.
+    rejected: why the frame was not mapped, or "".
     """
 
     seq: int

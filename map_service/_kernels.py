@@ -2,7 +2,8 @@
 
 The voxel map is one open-addressing hash table for all levels. Row layout:
   keys    (C,) int64: level << 60 | ix << 40 | iy << 20 | iz, biased by 2^19; -1: free.
-  moments (C, 10) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre.
+  moments (C, 11) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre; index of the
+  keyframe that saw the voxel first.
   geometry (C, 13) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind, longest
   axis (3).
 Kind: 0 none, 1 plane, 2 line. C is a power of two.
@@ -40,7 +41,7 @@ def slot_of(keys, key):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def insert(keys, moments, points, voxel_m, levels, touched):
+def insert(keys, moments, points, keyframe, voxel_m, levels, touched):
     """Adds points (N, 3) to every level; fills `touched` (>= N * levels) with their slots, returns how many.
 
     A slot may be listed more than once; the caller guarantees room for N * levels new voxels.
@@ -55,6 +56,7 @@ def insert(keys, moments, points, voxel_m, levels, touched):
             i = slot_of(keys, key)
             if keys[i] == -1:
                 keys[i] = key
+                moments[i, 10] = keyframe
             dx, dy, dz = x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size
             m = moments[i]
             m[0] += 1.0

@@ -44,6 +44,7 @@ class PoseGraph:
         self._alive: list[Callable[..., Array]] = []  # gtsam keeps no reference to a Python error function
         self.records: list[FactorRecord] = []
         self.poses: list[Array] = []
+        self.drifts: list[Array] = []  # covariance (6, 6) of the local map at each keyframe, see drift.py
         self.loops: list[tuple[int, int]] = []  # (older, newer) keyframes
         self.data: dict[int, Array] = {}  # datum -> T_enu_map
         self._fixes: dict[int, list[tuple[int, Array, Array]]] = {}  # datum -> (keyframe, antenna in it, enu)
@@ -55,9 +56,16 @@ class PoseGraph:
         tilt = float(np.clip(tilt_sigma_rad, *self.settings.first_tilt_rad))
         self._record("prior", {"pose": _flat(T_map_lidar), "tilt": tilt}, T_map_lidar)
 
-    def add_odometry(self, T_map_lidar: Array, T_previous_lidar: Array, covariance: Array) -> None:
-        """Keyframe n with its motion since keyframe n - 1, covariance (6, 6), right tangent, rotation first."""
+    def add_odometry(
+        self, T_map_lidar: Array, T_previous_lidar: Array, covariance: Array, drift: Array | None = None
+    ) -> None:
+        """Keyframe n with its motion since keyframe n - 1, covariance (6, 6), right tangent, rotation first.
+
+        drift (6, 6): of the local map there; it is kept for the answers, not used in the graph.
+        """
         payload = {"motion": _flat(T_previous_lidar), "covariance": covariance.reshape(-1).tolist()}
+        if drift is not None:
+            payload["drift"] = drift.reshape(-1).tolist()
         self._record("odometry", {"to": len(self.poses), **payload}, T_map_lidar)
 
     def add_loop(
@@ -103,6 +111,7 @@ class PoseGraph:
         if T_new is not None:
             self._values.insert(X(len(self.poses)), gtsam.Pose3(T_new))
             self.poses.append(T_new)
+            self.drifts.append(np.reshape(p["drift"], (6, 6)) if "drift" in p else np.eye(6) * _FIXED**2)
         if record.kind == "prior":
             pose, tilt = _square(p["pose"]), p.get("tilt", _FIXED)
             covariance = np.eye(6) * _FIXED**2

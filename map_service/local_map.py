@@ -27,7 +27,7 @@ class VoxelMap:
 
     def _allocate(self, capacity: int) -> None:
         self.keys = np.full(capacity, -1, np.int64)
-        self.moments = np.zeros((capacity, 10))
+        self.moments = np.zeros((capacity, 11))
         self.geometry = np.zeros((capacity, 13))
         self.used = 0
 
@@ -38,14 +38,14 @@ class VoxelMap:
         self.geometry.fill(0.0)
         self.used = 0
 
-    def insert(self, points: NDArray[np.float64]) -> None:
-        """Adds points (N, 3), m, frame of the map, and refits what they touched."""
+    def insert(self, points: NDArray[np.float64], keyframe: int) -> None:
+        """Adds the points (N, 3), m, frame of the map, of a keyframe, and refits what they touched."""
         s = self.settings
         room = self.used + len(points) * s.levels
         if 2 * room > len(self.keys):
             self._grow(room)
         touched = np.empty(len(points) * s.levels, np.int64)
-        count = kernels.insert(self.keys, self.moments, points, s.voxel_m, s.levels, touched)
+        count = kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, touched)
         touched = np.unique(touched[:count])
         self.used += int(np.count_nonzero(self.geometry[touched, 9] == 0.0))  # upper bound of new voxels
         kernels.fit(self.keys, self.moments, self.geometry, touched, s.voxel_m, self.kind, self.limits)
@@ -94,5 +94,5 @@ class LocalMap:
         for voxels, points_lidar in ((self.corners, corners_lidar), (self.surfs, surfs_lidar)):
             points_local = np.empty((len(points_lidar), 3))
             kernels.transform(T_local_lidar, points_lidar, points_local)
-            voxels.insert(points_local)
+            voxels.insert(points_local, index)
         self.keyframes.add(index)

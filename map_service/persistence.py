@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service.cloud import decode_cloud, encode_cloud
+from map_service.drift import MapDrift
 from map_service.graph import PoseGraph
 from map_service.keyframes import Keyframe
 from map_service.tracker import TrackerState
@@ -101,6 +102,7 @@ def dump(pipeline: MapPipeline) -> bytes:
             "twist": state.twist.tolist(),
             "base_twist": state.base_twist.tolist(),
             "bad_frames": state.bad_frames,
+            "slip": pipeline.drift.slip.tolist(),
             "T_map_local": pipeline.T_map_local.tolist(),
             "T_map_odom": pipeline.T_map_odom.tolist(),
             "gnss": None if pipeline.gnss is None else pipeline.gnss.dump(),
@@ -124,6 +126,8 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         return
     poses = [k.T_map_lidar for k in snapshot.keyframes]
     pipeline.graph = PoseGraph.restore(pipeline.settings.graph, list(snapshot.factors), poses)
+    pipeline.drift = MapDrift(pipeline.graph.drifts)
+    pipeline.drift.slip = np.array(data.get("slip", np.zeros((6, 6))))
     pipeline.T_map_local = np.array(data["T_map_local"])
     pipeline.T_map_odom = np.array(data["T_map_odom"])
     back = se3.inv(pipeline.T_map_local)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from map_service import persistence
 from map_service.closing import LoopCloser
+from map_service.drift import MapDrift
 from map_service.gnss import GnssGate, Place
 from map_service.graph import PoseGraph
 from map_service.keyframes import Keyframes
@@ -50,6 +51,8 @@ class MapPipeline:
         self.gnss = None if "gnss" in disable or robot.gnss is None else GnssGate(settings.gnss)
         self.leveller = Leveller(settings.level)
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
+        self.drift = MapDrift(self.graph.drifts)
+        self._map_covariance = np.eye(6) * 1e-8  # of the local map around the robot
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
         self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
@@ -66,6 +69,10 @@ class MapPipeline:
         if track.first_again is not None:
             self.keyframes.replace_first(*track.first_again)
             self.log.keyframe(self.keyframes[0], self.graph.poses[0])
+        if before is not None and (r := track.registration) is not None:
+            moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
+            self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
+            self._map_covariance = self.drift.at(track.T_local_lidar, r.keyframes, self.keyframes.T_local)
         if track.keyframe:
             self._add_keyframe(frame, track)
         cause = self._level(frame) if track.keyframe else None
@@ -86,7 +93,8 @@ class MapPipeline:
         else:
             motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
             covariance = self._odometry_covariance(track, motion)
-            self.graph.add_odometry(T_map_lidar, motion, covariance)
+            drift = self._map_covariance + self.settings.drift_growth * track.registration.covariance
+            self.graph.add_odometry(T_map_lidar, motion, covariance, drift)
             if self.gnss is not None:
                 self.gnss.moved(covariance)
         self.keyframes.add(frame, track)
@@ -106,7 +114,7 @@ class MapPipeline:
         assert track.registration is not None
         translation = s.odometry_translation_m + s.odometry_translation_share * float(np.linalg.norm(motion[:3, 3]))
         floor = np.diag(np.repeat([s.odometry_rotation_rad**2, translation**2], 3))
-        return track.registration.covariance + floor
+        return track.registration.covariance + floor + self.drift.slip
 
     def _level(self, frame: FeatureFrame) -> Cause | None:
         """A step towards level, when `map` is not; the cause is `registration`, whose tilt has drifted or began so."""
@@ -236,7 +244,7 @@ class MapPipeline:
             stamp_ns=frame.stamp_ns,
             T_map_lidar=self.T_map_local @ state.T_local_lidar,
             T_map_odom=self.T_map_odom,
-            covariance=np.eye(6) * 1e-6 if r is None else r.covariance,
+            covariance=self._map_covariance if r is None else self._map_covariance + r.covariance,
             state=track.state,
             degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
             correction=correction,

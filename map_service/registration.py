@@ -18,6 +18,7 @@ from map_service.settings import RegistrationSettings
 from splitslam import se3
 
 Array = NDArray[np.float64]
+_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +29,7 @@ class RegistrationResult:
     covariance: (6, 6), features and prior together, inflated by the residuals.
     degenerate_axes: (A, 6) unit directions the features do not observe. inliers: features within 3 sigma.
     delta_twist: (6,) correction of the scan's twist, rad/s and m/s, that the points were deskewed again with.
+    keyframes: (Q,) int64, who saw first what the scan was matched with: quantiles over its features.
     """
 
     T_local_lidar: Array
@@ -41,20 +43,21 @@ class RegistrationResult:
     error: float
     degenerate_axes: Array
     delta_twist: Array
+    keyframes: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
     """Where the scan should be: T_local_lidar (4, 4), its information (6, 6), and how well its twist is known.
 
-    interval_s: time since the previous frame; rate_sigma_radps, velocity_sigma_mps: of the edge's motion, one axis.
+    interval_s: time since the previous frame. rate_sigma_radps, velocity_sigmas_mps (3,): of the edge's motion.
     """
 
     T_local_lidar: Array
     information: Array
     interval_s: float
     rate_sigma_radps: float
-    velocity_sigma_mps: float
+    velocity_sigmas_mps: Array
 
 
 class Registration:
@@ -85,10 +88,10 @@ class Registration:
         T = prediction.T_local_lidar.copy()
         delta = np.zeros(6)
         dt = prediction.interval_s
-        known = np.repeat([prediction.rate_sigma_radps**2, prediction.velocity_sigma_mps**2], 3)
+        known = np.concatenate([np.repeat(prediction.rate_sigma_radps**2, 3), prediction.velocity_sigmas_mps**2])
         seen = np.repeat([(s.rotation_sigma_rad / dt) ** 2, (s.position_sigma_m / dt) ** 2], 3)
         gain = known / (known + seen)
-        reach_m = prediction.velocity_sigma_mps * dt + s.lever_m * prediction.rate_sigma_radps * dt
+        reach_m = float(prediction.velocity_sigmas_mps.max()) * dt + s.lever_m * prediction.rate_sigma_radps * dt
         gate_m = min(s.gate_start_m + s.gate_sigmas * reach_m, s.gate_limit_m)
         converged, iterations, damping = False, 0, s.damping
         H, fit, axes = np.zeros((6, 6)), _Fit(0.0, 0, 0.0, 0), np.zeros((0, 6))
@@ -165,6 +168,7 @@ class Registration:
             error=fit.error,
             degenerate_axes=axes,
             delta_twist=delta,
+            keyframes=_first_seen_by(classes),
         )
 
 
@@ -223,3 +227,11 @@ def _spurious_information(classes: tuple[_Class, _Class], T: Array, noise: Array
         if len(c.points_lidar):
             kernels.spurious(c.voxels.geometry, c.voxels.moments, c.points_lidar, T, c.slots, noise, H)
     return np.triu(H) + np.triu(H, 1).T
+
+
+def _first_seen_by(classes: tuple[_Class, _Class]) -> NDArray[np.int64]:
+    """Quantiles of the keyframes that the matched voxels are from; empty without a match."""
+    first = np.concatenate([c.voxels.moments[c.slots[c.slots >= 0], 10] for c in classes])
+    if not len(first):
+        return np.zeros(0, np.int64)
+    return np.quantile(first, _QUANTILES, method="nearest").astype(np.int64)

@@ -153,5 +153,6 @@ class PipelineSettings(Model):
     gnss: GnssSettings = GnssSettings()
     level: LevelSettings = LevelSettings()
     loops: LoopSettings = LoopSettings()
+    drift_growth: float = Field(default=1.0, description="what new ground adds to the map's doubt, registrations")
     commit_frames: int = 20
     commit_s: float = 1.0

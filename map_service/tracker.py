@@ -59,6 +59,7 @@ class Tracker:
         self.local_map = LocalMap(settings.local_map)
         self.registration = Registration(settings.registration)
         self.state: TrackerState | None = None
+        self._start_accelerations = np.repeat([settings.start_rotation_radps2, settings.start_acceleration_mps2], 3)
         self._first: FeatureFrame | None = None
 
     def process(self, frame: FeatureFrame) -> Track:
@@ -91,17 +92,16 @@ class Tracker:
     def _align(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
         motion, s = frame.motion, self.settings
         interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
-        sigmas = np.sqrt(np.maximum([motion.covariance[0, 0], motion.covariance[3, 3]], 1e-12)) / interval_s
+        sigmas = np.sqrt(np.maximum(np.diag(motion.covariance), 1e-12)) / interval_s
         base = self._base_twist(frame, state, interval_s)
         if base.any():  # what remains is how the twist changes from one scan to the next
-            limits = np.array([s.start_rotation_radps2, s.start_acceleration_mps2]) * interval_s
-            sigmas = np.minimum(sigmas, limits)
+            sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
         T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
-        floors = np.array([s.pose_rotation_rad, s.pose_translation_m])
-        floors = floors + 0.5 * state.hole_s**2 * np.array([s.start_rotation_radps2, s.start_acceleration_mps2])
-        variances = np.repeat((sigmas * interval_s) ** 2 + floors**2, 3)
+        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
+        floors = floors + 0.5 * state.hole_s**2 * self._start_accelerations
+        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + floors**2))
         prediction = Prediction(
-            state.T_local_lidar @ T_prev_lidar, np.diag(1.0 / variances), interval_s, float(sigmas[0]), float(sigmas[1])
+            state.T_local_lidar @ T_prev_lidar, information, interval_s, float(sigmas[:3].max()), sigmas[3:]
         )
         result = self.registration.align(
             self.local_map,

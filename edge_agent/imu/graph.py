@@ -25,14 +25,22 @@ _MAX_STEP_NS = 10_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationState:
-    """The IMU at `stamp_ns`: T_odom_imu (4, 4), velocity (3,) in `odom`, bias (6,) gyro first, and what is in doubt."""
+    """The IMU at `stamp_ns`: T_odom_imu (4, 4), velocity (3,) in `odom`, bias (6,) gyro first, and what is in doubt.
+
+    velocity_covariance: (3, 3) in `odom`.
+    """
 
     stamp_ns: int
     T_odom_imu: Array
     velocity_mps: Array
     bias: Array
-    velocity_sigma_mps: float
+    velocity_covariance: Array
     tilt_sigma_rad: float
+
+    @property
+    def velocity_sigma_mps(self) -> float:
+        """Of one axis, in the mean."""
+        return float(np.sqrt(np.trace(self.velocity_covariance) / 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +181,6 @@ class LocalGraph:
     def _read(self, stamp_ns: int) -> None:
         k = self.key
         estimate = self.isam.calculateEstimateConstantBias(B(k))
-        sigma = np.sqrt(np.trace(self.isam.marginalCovariance(V(k))) / 3)
         T_odom_imu = self.isam.calculateEstimatePose3(X(k)).matrix()
         R = T_odom_imu[:3, :3]
         tilt = (R @ self.isam.marginalCovariance(X(k))[:3, :3] @ R.T)[:2, :2]
@@ -182,7 +189,7 @@ class LocalGraph:
             T_odom_imu,
             np.asarray(self.isam.calculateEstimateVector(V(k))),
             np.concatenate([estimate.gyroscope(), estimate.accelerometer()]),
-            float(sigma),
+            np.asarray(self.isam.marginalCovariance(V(k))),
             max(float(np.sqrt(np.linalg.eigvalsh(tilt)[-1])), self.settings.least_tilt_sigma_rad),
         )
         if self.wheels is not None:

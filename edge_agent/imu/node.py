@@ -162,17 +162,15 @@ class ImuNode:
         window = self.buffer.window(anchor.stamp_ns, end_ns)
         window = window.at(np.union1d(window.stamps_ns, [previous_ns, start_ns]))
         stamps, gyro = window.stamps_ns, window.gyro_radps
-        P = np.eye(3) * anchor.velocity_sigma_mps**2
+        P = anchor.velocity_covariance.copy()
         states = self._integrate(window, _row(anchor), self._wheels_after(anchor), P)
         first, here = np.searchsorted(stamps, [previous_ns, start_ns])
         T_start = self._lidar_pose(states[here])
         T_prev_lidar = se3.inv(self._lidar_pose(states[first])) @ T_start
-        covariance = self._motion_covariance(
-            (start_ns - previous_ns) * 1e-9, anchor, (start_ns - anchor.stamp_ns) * 1e-9
-        )
-        if self.wheels is not None:
-            covariance[3:, 3:] = np.eye(3) * max(np.trace(P) / 3 * ((start_ns - previous_ns) * 1e-9) ** 2, 1e-8)
         R = T_start[:3, :3]
+        if self.wheels is None:
+            P += np.eye(3) * self._noise().accel_mps2_rthz ** 2 * (start_ns - anchor.stamp_ns) * 1e-9
+        covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, R.T @ P @ R)
         lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
         velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
         return Motion(
@@ -196,14 +194,13 @@ class ImuNode:
         kernels.knots(poses, rotation, translation)
         return Knots(offsets_ns.astype(np.int64), rotation, translation)
 
-    def _motion_covariance(self, interval_s: float, anchor: NavigationState, age_s: float) -> Array:
-        noise = self._noise()
-        s = self.settings
+    def _motion_covariance(self, interval_s: float, velocity_lidar: Array) -> Array:
+        """(6, 6) of the motion over an interval; velocity_lidar: (3, 3) covariance of the velocity, frame `lidar`."""
+        noise, s = self._noise(), self.settings
         rotation = noise.gyro_radps_rthz**2 * interval_s + (0.1 * s.prior_bias_gyro_radps * interval_s) ** 2
-        velocity = anchor.velocity_sigma_mps**2 + noise.accel_mps2_rthz**2 * max(age_s, interval_s)
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = np.eye(3) * max(rotation, 1e-8)
-        covariance[3:, 3:] = np.eye(3) * max(velocity * interval_s**2, 1e-8)
+        covariance = np.eye(6) * 1e-8
+        covariance[:3, :3] += np.eye(3) * rotation
+        covariance[3:, 3:] += (velocity_lidar + np.eye(3) * noise.accel_mps2_rthz**2 * interval_s) * interval_s**2
         return covariance
 
     def _noise(self) -> ImuNoise:
@@ -232,11 +229,11 @@ class ImuNode:
         if still:
             bias[:3] = 0.0
         T_odom_imu = T_odom_lidar @ self.T_lidar_imu
-        doubt = self.settings.prior_velocity_mps, self._tilt_sigma_rad
+        doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
         self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, *doubt)
         self._live, self._live_ns = _row(self._anchor)[None], start_ns
         self._output = T_odom_imu[:3].reshape(-1)
-        self._live_P = np.eye(3) * self._anchor.velocity_sigma_mps**2
+        self._live_P = self._anchor.velocity_covariance.copy()
         self._live_wheel_ns = self._wheels_after(self._anchor)
         self._history.append((start_ns, T_odom_lidar[:3].reshape(-1).copy()))
         if self.buffer.last_ns > start_ns:
@@ -286,7 +283,7 @@ class ImuNode:
     def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
         anchor = self._anchor
         assert anchor is not None
-        doubt = self.settings.prior_velocity_mps, self._tilt_sigma_rad
+        doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
         state = NavigationState(stamp_ns, anchor.T_odom_imu, anchor.velocity_mps, anchor.bias, *doubt)
         self.graph.start(state, T_server_imu, self._tilt_sigma_rad)
         self._started = True
@@ -294,7 +291,7 @@ class ImuNode:
     def _restart(self, stamp_ns: int, anchor: NavigationState, T_server_imu: Array) -> None:
         """After a failure: where the output says the robot is, velocity unknown, biases forgotten."""
         T_odom_imu = self.T_odom_lidar_at(stamp_ns) @ self.T_lidar_imu
-        doubt = self.settings.prior_velocity_mps, self._tilt_sigma_rad
+        doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
         self._anchor = NavigationState(stamp_ns, T_odom_imu, np.zeros(3), np.zeros(6), *doubt)
         self._start_graph(stamp_ns, T_server_imu)
 
@@ -303,7 +300,7 @@ class ImuNode:
         if self._live_ns < state.stamp_ns:  # samples are late: the output comes along on the last of them
             self._propagate(state.stamp_ns)
         self._anchor = state
-        self._live_P, self._live_wheel_ns = np.eye(3) * state.velocity_sigma_mps**2, self._wheels_after(state)
+        self._live_P, self._live_wheel_ns = state.velocity_covariance.copy(), self._wheels_after(state)
         window = self.buffer.window(state.stamp_ns, self._live_ns)
         self._live = self._integrate(window, _row(state), self._live_wheel_ns, self._live_P)[-1:].copy()
         self._live_wheel_ns = self._wheels_read(self._live_ns)

@@ -119,7 +119,7 @@ class ToldTracker(Tracker):
             T_local_keyframe=T if keyframe else self.state.T_local_keyframe,
         )  # fmt: skip
         result = RegistrationResult(
-            T, np.eye(6), self._covariance, True, 1, 100, 100, 100, 0.0, np.zeros((0, 6)), np.zeros(6)
+            T, np.eye(6), self._covariance, True, 1, 100, 100, 100, 0.0, np.zeros((0, 6)), np.zeros(6), np.zeros(0, int)
         )
         return Track(T, result, State.TRACKING, keyframe, *points)
 

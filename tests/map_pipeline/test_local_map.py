@@ -21,7 +21,7 @@ def test_every_voxel_of_every_level_holds_the_fit_of_exactly_its_points():
     points, _ = room(rng, 4000, 0.02)
     voxels = VoxelMap(PLANES, kernels.PLANE)
     for part in np.array_split(points, 5):  # incremental insertion must not differ from one go
-        voxels.insert(part)
+        voxels.insert(part, 0)
     live = np.flatnonzero(voxels.keys != -1)
     expected = {(level, *index) for level in range(3) for index in voxel_index(points, 0.5 * 2**level)}
     assert len(live) == len(expected)
@@ -54,7 +54,7 @@ def test_a_line_of_points_is_no_plane_and_a_plane_is_no_line():
         (plane, kernels.LINE, False),
     ):
         voxels = VoxelMap(VoxelSettings(levels=1), kind)
-        voxels.insert(points)
+        voxels.insert(points, 0)
         assert bool((voxels.geometry[:, 9] == kind).any()) is found
 
 
@@ -64,7 +64,7 @@ def test_growing_keeps_what_was_there():
     points = rng.uniform(-200, 200, (60_000, 3))
     capacity = len(voxels.keys)
     for part in np.array_split(points, 6):
-        voxels.insert(part)
+        voxels.insert(part, 0)
     assert len(voxels.keys) > capacity
     assert voxels.moments[:, 0].sum() == len(points)
     assert (voxels.keys != -1).sum() == len({tuple(v) for v in voxel_index(points, 0.5)})
@@ -74,7 +74,7 @@ def test_a_point_is_matched_to_its_own_plane_and_to_none_when_too_far():
     rng = np.random.default_rng(4)
     floor = np.column_stack([rng.uniform(-5, 5, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
     voxels = VoxelMap(PLANES, kernels.PLANE)
-    voxels.insert(floor)
+    voxels.insert(floor, 0)
     queries = np.array([[0.2, 0.2, 0.1], [0.2, 0.2, -0.1], [0.2, 0.2, 0.9], [30.0, 0.0, 0.0]])
     slots = np.empty(len(queries), np.int64)
     assert voxels.match(queries, 0.3, slots) == 2
@@ -89,7 +89,7 @@ def test_the_normal_equations_equal_their_naive_twin(kind):
     surfs, corners = room(rng, 4000, 0.01)
     points = surfs if kind == kernels.PLANE else corners
     voxels = VoxelMap(PLANES if kind == kernels.PLANE else VoxelSettings(levels=2, min_points=5), kind)
-    voxels.insert(points)
+    voxels.insert(points, 0)
     T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.02]))
     lidar = (points[::20] - T[:3, 3]) @ T[:3, :3] + rng.normal(0, 0.05, points[::20].shape)
     local = np.empty_like(lidar)

@@ -29,7 +29,7 @@ def align(local_map, corners, surfs, T_guess, *, velocity_sigma=0.1, again=False
     registration = Registration(RegistrationSettings())
     times = times or (np.zeros(len(corners)), np.zeros(len(surfs)))
     return registration.align(
-        local_map, corners, surfs, times, Prediction(T_guess, information, 0.1, 1e-3, velocity_sigma), again
+        local_map, corners, surfs, times, Prediction(T_guess, information, 0.1, 1e-3, np.full(3, velocity_sigma)), again
     )
 
 
