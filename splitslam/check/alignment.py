@@ -40,7 +40,7 @@ class Alignment:
 
     R_lidar_imu: (3, 3). covariance: (3, 3) rad^2 of a small turn about the LiDAR's axes. delay_s: IMU stamps say later
     than it was by so much. gyro_bias_radps, accel_bias_mps2: (3,), frame `imu`. gravity_odom_mps2: (3,) in the frame of
-    the poses. rotation_residual_rad: typical residual of a rotation from pose to pose.
+    the poses. explained: share of the LiDAR's rotations (sum of squares) that the gyro accounts for.
     """
 
     R_lidar_imu: Array
@@ -50,7 +50,7 @@ class Alignment:
     gyro_bias_radps: Array
     accel_bias_mps2: Array
     gravity_odom_mps2: Array
-    rotation_residual_rad: float
+    explained: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,8 +123,15 @@ class _Problem:
         J[:, :, _DOWN] = -self.tent_s[:, None, None] * np.eye(3)
         return self.velocity_change - predicted, J
 
-    def normal_equations(self, s: _State, track: ImuTrack) -> tuple[Array, Array, float, float]:
-        """H (13, 13), gradient (13,), robust cost, residual of a typical turn."""
+    def explained(self, s: _State, track: ImuTrack) -> float:
+        """1 less the share of squared rotation that is left over; standing still, which all explain, is no part."""
+        good = self.inside(track, s.tau_s)
+        moving = good[1:] & good[:-1] & (np.linalg.norm(self.turns, axis=1) > 1e-3)
+        left = self.rotation(s, track)[0][moving]
+        return 1.0 - float(np.sum(left**2) / max(np.sum(self.turns[moving] ** 2), 1e-12))
+
+    def normal_equations(self, s: _State, track: ImuTrack) -> tuple[Array, Array, float]:
+        """H (13, 13), gradient (13,), robust cost."""
         H = np.diag(_PRIOR_SIGMAS**-2.0)
         g = np.zeros(13)
         g[_GYRO] = s.gyro_bias / _PRIOR_SIGMAS[_GYRO] ** 2
@@ -135,26 +142,24 @@ class _Problem:
         g[_DOWN] += down * (size - self.gravity_mps2) / _GRAVITY_SIGMA_MPS2
         good = self.inside(track, s.tau_s)
         r, J = self.rotation(s, track)
-        cost, turn = _accumulate(r, J, self.turn_scale, (good[1:] & good[:-1]).astype(float), 1e-4, H, g)
+        cost = _accumulate(r, J, self.turn_scale, (good[1:] & good[:-1]).astype(float), 1e-4, H, g)
         r, J = self.velocity(s, track)
         share = (good[2 * self.lag :] & good[: -2 * self.lag]) / (2.0 * self.lag)  # windows overlap
-        cost += _accumulate(r, J, self.tent_s, share, 0.02, H, g)[0]
-        return H, g, cost, turn
+        cost += _accumulate(r, J, self.tent_s, share, 0.02, H, g)
+        return H, g, cost
 
 
-def _accumulate(
-    r: Array, J: Array, scale: Array, share: Array, floor: float, H: Array, g: Array
-) -> tuple[float, float]:
-    """Adds residuals (N, 3); sigma = scale x (their own median spread, at least `floor`). Returns cost and spread."""
+def _accumulate(r: Array, J: Array, scale: Array, share: Array, floor: float, H: Array, g: Array) -> float:
+    """Adds residuals (N, 3) of sigma scale x (their own median spread, at least `floor`); returns their cost."""
     size = np.linalg.norm(r, axis=1) / scale
     if not share.any():
-        return 0.0, 0.0
+        return 0.0
     spread = max(float(np.median(size[share > 0])) / 1.54, floor)  # 1.54: median norm of three unit normals
     ratio = (size / (_ROBUST_SIGMAS * spread)) ** 2
     weight = share / (1.0 + ratio) / (scale * spread) ** 2
     H += np.einsum("k,kia,kib->ab", weight, J, J)
     g += np.einsum("k,kia,ki->a", weight, J, r)
-    return float(np.sum(share * (_ROBUST_SIGMAS**2 * np.log1p(ratio) + 6.0 * np.log(spread)))), spread
+    return float(np.sum(share * (_ROBUST_SIGMAS**2 * np.log1p(ratio) + 6.0 * np.log(spread))))
 
 
 def align(
@@ -173,14 +178,14 @@ def align(
         key=lambda begun: begun[0],
     )[1]
     for _ in range(_ITERATIONS):
-        H, g, _, _ = problem.normal_equations(state, track)
+        H, g, _ = problem.normal_equations(state, track)
         d = -np.linalg.solve(H, g)
         d *= min(1.0, 0.5 / np.linalg.norm(d[_PHI]), 0.05 / abs(d[_TAU]))
         state = state.moved(d)
         track = problem.track(state.gyro_bias)
         if np.abs(d[:4]).max() < 1e-6:
             break
-    H, _, _, turn = problem.normal_equations(state, track)
+    H = problem.normal_equations(state, track)[0]
     C = _INFLATION**2 * np.linalg.inv(H)
     return Alignment(
         R_lidar_imu=state.X,
@@ -190,7 +195,7 @@ def align(
         gyro_bias_radps=state.gyro_bias,
         accel_bias_mps2=state.accel_bias,
         gravity_odom_mps2=state.gravity,
-        rotation_residual_rad=turn,
+        explained=problem.explained(state, track),
     )
 
 
@@ -221,7 +226,7 @@ def _begin(problem: _Problem, track: ImuTrack, X: Array, tau_s: float) -> tuple[
     gravity *= problem.gravity_mps2 / max(float(np.linalg.norm(gravity)), 1e-6)
     state = _State(X, tau_s, np.zeros(3), np.zeros(3), gravity)
     for _ in range(3):  # biases and gravity alone
-        H, g, _, _ = problem.normal_equations(state, track)
+        H, g, _ = problem.normal_equations(state, track)
         d = np.zeros(13)
         d[4:] = -np.linalg.solve(H[4:, 4:], g[4:])
         d[_GYRO] = 0.0  # the track is integrated with none

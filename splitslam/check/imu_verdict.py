@@ -17,6 +17,14 @@ from splitslam.robot import Robot
 from splitslam.scan import ImuSamples
 
 _UPSIDE_DOWN = np.cos(np.radians(120.0))
+_EXPLAINED = 0.8
+_NEAR_FILE_DEG = 30.0
+_WRONG_SIGNS = {
+    "all three axes": np.array([-1.0, -1.0, -1.0]),
+    "x": np.array([-1.0, 1.0, 1.0]),
+    "y": np.array([1.0, -1.0, 1.0]),
+    "z": np.array([1.0, 1.0, -1.0]),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,20 +57,70 @@ def judge(robot: Robot, motion: LidarMotion | None, samples: ImuSamples, scan_pe
         found += [obstacle] if obstacle is not None and motion is not None else []
         found += _present(inertial.gravity_direction(samples, robot, None))
         return ImuVerdict(tuple(found), samples, gravity_mps2, matched)
-    alignment = align(motion, samples, robot.T_lidar_imu, robot.gravity_mps2, matched)
-    if alignment is not None and mounting.up_lidar(motion, alignment.gravity_odom_mps2)[2] < _UPSIDE_DOWN:
-        upright = replace(samples, accel_mps2=-samples.accel_mps2)
-        alignment = align(motion, upright, robot.T_lidar_imu, robot.gravity_mps2, matched)
-    period_s = float(np.median(np.diff(samples.stamps_ns))) * 1e-9
-    place = None if alignment is None else mounting.compare(alignment, matched, robot, period_s)
-    if alignment is None or place is None:
+    fit, sign = _fit(robot, motion, samples, matched)
+    found += sign
+    if fit is None or fit.place is None:
         found.append(note("T_lidar_imu", "not tested: the motion is too little for more than one axis"))
         found += _present(inertial.gravity_direction(samples, robot, None))
-        return ImuVerdict(tuple(found), samples, gravity_mps2, matched, alignment)
-    found += _present(inertial.gravity_direction(samples, robot, place.R_lidar_imu))
-    found += mounting.findings(place, scan_period_s)
-    up = mounting.up_lidar(motion, alignment.gravity_odom_mps2)
-    return ImuVerdict(tuple(found), samples, gravity_mps2, matched, alignment, place, up)
+        return ImuVerdict(tuple(found), samples, gravity_mps2, matched)
+    if fit.alignment.explained < _EXPLAINED:
+        text = (
+            f"the gyro explains {max(fit.alignment.explained, 0.0):.0%} of the LiDAR's rotation, whatever its mounting"
+        )
+        found.append(Finding("imu angular_velocity", text, "nearly all of it (right signs, axes and units)"))
+    else:
+        found += _present(inertial.gravity_direction(samples, robot, fit.place.R_lidar_imu))
+        found += mounting.findings(fit.place, scan_period_s)
+    return ImuVerdict(tuple(found), samples, gravity_mps2, matched, fit.alignment, fit.place, fit.up_lidar)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    alignment: Alignment
+    place: Mounting | None
+    up_lidar: NDArray[np.float64]
+
+    @property
+    def plain(self) -> bool:
+        """Nothing strange about it: the gyro fits, up is up, and the file is not off by more than a quarter turn."""
+        fits = self.alignment.explained > _EXPLAINED and self.up_lidar[2] > _UPSIDE_DOWN
+        return fits and self.place is not None and self.place.angle_deg < 120.0
+
+
+def _fit(
+    robot: Robot, motion: LidarMotion, samples: ImuSamples, matched: CoarseMatch
+) -> tuple[_Fit | None, list[Finding]]:
+    """The alignment; where it looks strange, wrong signs are tried, and taken when they leave nothing strange."""
+    fit = _aligned(robot, motion, samples, matched)
+    if fit is None or fit.plain:
+        return fit, []
+    for axes, signs in _WRONG_SIGNS.items():
+        other = _aligned(robot, motion, replace(samples, gyro_radps=samples.gyro_radps * signs), matched)
+        if other is not None and other.plain and _surer(other, fit):
+            text = f"{axes} of the gyro turn{'s' if axes in 'xyz' else ''} the wrong way round"
+            return other, [Finding("imu angular_velocity", text, "counter-clockwise positive (right hand)")]
+    if fit.up_lidar[2] < _UPSIDE_DOWN:  # accelerations then have the wrong sign too: not to be used as they are
+        upright = _aligned(robot, motion, replace(samples, accel_mps2=-samples.accel_mps2), matched)
+        return (fit if upright is None else upright), []
+    return fit, []
+
+
+def _surer(fit: _Fit, than: _Fit) -> bool:
+    """Near the robot file, and no less certain than what it is to replace."""
+    place, other = fit.place, than.place
+    if place is None or place.angle_deg > _NEAR_FILE_DEG:
+        return False
+    size, reference = np.trace(fit.alignment.covariance), np.trace(than.alignment.covariance)
+    return bool(size < reference) if other is not None else bool(size < 0.25 * reference)
+
+
+def _aligned(robot: Robot, motion: LidarMotion, samples: ImuSamples, matched: CoarseMatch) -> _Fit | None:
+    alignment = align(motion, samples, robot.T_lidar_imu, robot.gravity_mps2, matched)
+    if alignment is None:
+        return None
+    period_s = float(np.median(np.diff(samples.stamps_ns))) * 1e-9
+    place = mounting.compare(alignment, matched, robot, period_s)
+    return _Fit(alignment, place, mounting.up_lidar(motion, alignment.gravity_odom_mps2))
 
 
 def _present(finding: Finding | None) -> list[Finding]:

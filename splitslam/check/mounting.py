@@ -20,6 +20,7 @@ ROTATION_LIMIT_DEG = 3.0
 DELAY_LIMIT_S = 0.010
 _SURE_SIGMAS = 3.0
 _KNOWN_DEG = 1.5  # sigma below which an axis counts as known: a disagreement of 3 degrees is then two sigma
+_HINTED_DEG = 15.0  # sigma below which at least a wrong quarter turn about the last axis shows
 _MIN_CORRELATION = 0.7
 _MIN_EXCITATION_RADPS = 0.01
 _NAMES = np.array(["x", "y", "z"])
@@ -30,15 +31,16 @@ class Mounting:
     """T_lidar_imu's rotation and the time offset as the motion shows them, beside the robot file's.
 
     angle_deg: how far the file is off, as far as the motion can tell; sigma_deg: of that angle; axis: (3,) what it is
-    turned about, frame `lidar`. unknown_axis: (3,) the axis about which the motion says nothing, or None.
-    R_lidar_imu: (3, 3) nearest to the file among all that fit. time_offset_s: what `imu.time_offset_ns` should be;
-    delay_limit_s: a difference below is no finding.
+    turned about, frame `lidar`. unknown_axis: (3,) the axis about which the motion says too little, or None, and its
+    unknown_sigma_deg. R_lidar_imu: (3, 3) nearest to the file among all that fit. time_offset_s: what
+    `imu.time_offset_ns` should be; delay_limit_s: a difference below is no finding.
     """
 
     angle_deg: float
     sigma_deg: float
     axis: Array
     unknown_axis: Array | None
+    unknown_sigma_deg: float
     R_lidar_imu: Array
     time_offset_s: float
     stated_offset_s: float
@@ -73,11 +75,17 @@ def compare(alignment: Alignment, match: CoarseMatch, robot: Robot, imu_period_s
     sigmas = np.sqrt(np.maximum(sigmas, 0.0))
     if np.degrees(sigmas[1]) > _KNOWN_DEG:
         return None
-    X = alignment.R_lidar_imu
-    unknown = axes[:, 2] if np.degrees(sigmas[2]) > _KNOWN_DEG else None
+    X, R_file = alignment.R_lidar_imu, robot.T_lidar_imu[:3, :3]
+    weakest_deg = float(np.degrees(sigmas[2]))
+    unknown = axes[:, 2] if weakest_deg > _KNOWN_DEG else None
     if unknown is not None:
-        X = _turned_towards(robot.T_lidar_imu[:3, :3], X, unknown)
-    error = se3.so3_log(X @ robot.T_lidar_imu[:3, :3].T)
+        nearest = _turned_towards(R_file, X, unknown)
+        turn_deg = np.degrees(se3.angle(X @ nearest.T))
+        if weakest_deg < _HINTED_DEG and turn_deg > _SURE_SIGMAS * weakest_deg:
+            unknown = None  # little is known about this axis, but enough to say that the file is wrong
+        else:
+            X = nearest
+    error = se3.so3_log(X @ R_file.T)
     angle = float(np.linalg.norm(error))
     axis = error / angle if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
     C = alignment.covariance
@@ -91,6 +99,7 @@ def compare(alignment: Alignment, match: CoarseMatch, robot: Robot, imu_period_s
         sigma_deg=float(np.degrees(np.sqrt(axis @ C @ axis))),
         axis=axis,
         unknown_axis=unknown,
+        unknown_sigma_deg=0.0 if unknown is None else min(weakest_deg, 180.0),
         R_lidar_imu=X,
         time_offset_s=stated_s - alignment.delay_s,
         stated_offset_s=stated_s,
@@ -121,8 +130,8 @@ def _rotation(m: Mounting) -> list[Finding]:
         out.append(
             note(
                 "T_lidar_imu",
-                f"rotation about {_axis_name(m.unknown_axis)} not tested: the motion does not show it"
-                " (turn about other axes, or speed up and brake); the others are tested",
+                f"about {_axis_name(m.unknown_axis)} the motion shows the rotation only to +- {m.unknown_sigma_deg:.1f}"
+                " deg (turn about other axes, or speed up and brake); about the others it is tested",
             )
         )
     return out
@@ -140,8 +149,10 @@ def _delay(m: Mounting, scan_period_s: float) -> list[Finding]:
     if abs(off_s) <= max(m.delay_limit_s, _SURE_SIGMAS * m.time_sigma_s):
         if abs(off_s) <= max(DELAY_LIMIT_S, _SURE_SIGMAS * m.time_sigma_s):
             return []
-        within = f"that is within one sample of this IMU ({m.delay_limit_s * 1e3:.0f} ms) and may be what a sample stands for"
-        return [note("imu.time_offset_ns", f"the motion says {off_s * 1e3:+.0f} ms beside the robot file; {within}")]
+        within = (
+            f"within one sample of this IMU ({m.delay_limit_s * 1e3:.0f} ms), whose stamp may mean its start or end"
+        )
+        return [note("imu.time_offset_ns", f"the motion says {off_s * 1e3:+.0f} ms beside the robot file: {within}")]
     hint = ""
     if abs(abs(off_s) - scan_period_s) < 0.25 * scan_period_s:
         hint = "; it is about one scan: is lidar.stamp (start or end) right?"
