@@ -77,7 +77,7 @@ class _Problem:
     def __init__(self, motion: LidarMotion, samples: ImuSamples, t_lidar_imu_m: Array, gravity_mps2: float) -> None:
         self.samples, self.gravity_mps2 = samples, gravity_mps2
         self.origin_ns = int(samples.stamps_ns[0])
-        self.t_s = (motion.stamps_ns - self.origin_ns) * 1e-9
+        self.t_s: Array = np.multiply(motion.stamps_ns - self.origin_ns, 1e-9, dtype=np.float64)
         self.dt_s = np.diff(self.t_s)
         self.lag = max(1, round(_TENT_S / float(np.median(self.dt_s))))
         R = motion.T_odom_lidar[:, :3, :3]
@@ -179,7 +179,7 @@ def align(
     )[1]
     for _ in range(_ITERATIONS):
         H, g, _ = problem.normal_equations(state, track)
-        d = -np.linalg.solve(H, g)
+        d: Array = np.negative(np.linalg.solve(H, g), dtype=np.float64)
         d *= min(1.0, 0.5 / np.linalg.norm(d[_PHI]), 0.05 / abs(d[_TAU]))
         state = state.moved(d)
         track = problem.track(state.gyro_bias)
@@ -189,7 +189,7 @@ def align(
     C = _INFLATION**2 * np.linalg.inv(H)
     return Alignment(
         R_lidar_imu=state.X,
-        covariance=C[_PHI, _PHI],
+        covariance=np.asarray(C[_PHI, _PHI], np.float64),
         delay_s=state.tau_s,
         delay_sigma_s=float(np.sqrt(C[_TAU, _TAU])),
         gyro_bias_radps=state.gyro_bias,

@@ -20,7 +20,7 @@ class ImuTrack:
     """
 
     def __init__(self, samples: ImuSamples, origin_ns: int, gyro_bias_radps: Array) -> None:
-        t_s = (samples.stamps_ns - origin_ns) * 1e-9
+        t_s: Array = np.multiply(samples.stamps_ns - origin_ns, 1e-9, dtype=np.float64)
         t_s, gyro, force = _subdivided(t_s, samples.gyro_radps - gyro_bias_radps, samples.accel_mps2)
         step = np.diff(t_s)[:, None]
         turns = exps(0.5 * (gyro[1:] + gyro[:-1]) * step)

@@ -60,7 +60,9 @@ def judge(robot: Robot, motion: LidarMotion | None, samples: ImuSamples, scan_pe
     fit, sign = _fit(robot, motion, samples, matched)
     found += sign
     if fit is None or fit.place is None:
-        found.append(note("T_lidar_imu", "not tested: the motion is too little for more than one axis"))
+        sigma_deg = 180.0 if fit is None else np.degrees(np.sqrt(np.linalg.eigvalsh(fit.alignment.covariance)[1]))
+        text = f"not tested: the motion shows the rotation only to +- {min(sigma_deg, 180.0):.1f} deg"
+        found.append(note("T_lidar_imu", text, "turns about two axes at least"))
         found += _present(inertial.gravity_direction(samples, robot, None))
         return ImuVerdict(tuple(found), samples, gravity_mps2, matched)
     if fit.alignment.explained < _EXPLAINED:

@@ -20,7 +20,7 @@ ROTATION_LIMIT_DEG = 3.0
 DELAY_LIMIT_S = 0.010
 _SURE_SIGMAS = 3.0
 _KNOWN_DEG = 1.5  # sigma below which an axis counts as known: a disagreement of 3 degrees is then two sigma
-_HINTED_DEG = 15.0  # sigma below which at least a wrong quarter turn about the last axis shows
+_HINTED_DEG = 15.0  # sigma below which at least a wrong quarter turn shows
 _MIN_CORRELATION = 0.7
 _MIN_EXCITATION_RADPS = 0.01
 _NAMES = np.array(["x", "y", "z"])
@@ -72,19 +72,16 @@ def excited(match: CoarseMatch | None) -> Finding | None:
 def compare(alignment: Alignment, match: CoarseMatch, robot: Robot, imu_period_s: float) -> Mounting | None:
     """The alignment against the robot file; None when more than one axis is unknown."""
     sigmas, axes = np.linalg.eigh(alignment.covariance)
-    sigmas = np.sqrt(np.maximum(sigmas, 0.0))
-    if np.degrees(sigmas[1]) > _KNOWN_DEG:
-        return None
-    X, R_file = alignment.R_lidar_imu, robot.T_lidar_imu[:3, :3]
-    weakest_deg = float(np.degrees(sigmas[2]))
-    unknown = axes[:, 2] if weakest_deg > _KNOWN_DEG else None
-    if unknown is not None:
-        nearest = _turned_towards(R_file, X, unknown)
-        turn_deg = np.degrees(se3.angle(X @ nearest.T))
-        if weakest_deg < _HINTED_DEG and turn_deg > _SURE_SIGMAS * weakest_deg:
-            unknown = None  # little is known about this axis, but enough to say that the file is wrong
-        else:
-            X = nearest
+    sigmas_deg = np.degrees(np.sqrt(np.maximum(sigmas, 0.0)))
+    X, R_file, unknown = alignment.R_lidar_imu, robot.T_lidar_imu[:3, :3], None
+    off_deg = np.degrees(se3.angle(X @ R_file.T))
+    if not (sigmas_deg[2] < _HINTED_DEG and off_deg > max(ROTATION_LIMIT_DEG, _SURE_SIGMAS * sigmas_deg[2])):
+        # otherwise, well or hardly known, the file is wrong beyond doubt
+        if sigmas_deg[1] > _KNOWN_DEG:
+            return None
+        if sigmas_deg[2] > _KNOWN_DEG:
+            unknown = axes[:, 2]
+            X = _turned_towards(R_file, X, unknown)
     error = se3.so3_log(X @ R_file.T)
     angle = float(np.linalg.norm(error))
     axis = error / angle if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
@@ -99,7 +96,7 @@ def compare(alignment: Alignment, match: CoarseMatch, robot: Robot, imu_period_s
         sigma_deg=float(np.degrees(np.sqrt(axis @ C @ axis))),
         axis=axis,
         unknown_axis=unknown,
-        unknown_sigma_deg=0.0 if unknown is None else min(weakest_deg, 180.0),
+        unknown_sigma_deg=0.0 if unknown is None else min(float(sigmas_deg[2]), 180.0),
         R_lidar_imu=X,
         time_offset_s=stated_s - alignment.delay_s,
         stated_offset_s=stated_s,

@@ -52,7 +52,8 @@ def _topics(bag: Bag, robot: Robot, findings: list[Finding]) -> Robot:
             findings.append(
                 Finding(sensor.section, "none in the recording", " or ".join(map(topics.short, sensor.types)))
             )
-        sections[sensor.section] = None if chosen is None else section.model_copy(update={"topic": chosen})
+        given = section is not None and chosen is not None
+        sections[sensor.section] = section.model_copy(update={"topic": chosen}) if given else None
     if sections["lidar"] is None:
         raise InputError(f"{name}: no LiDAR topic that can be used; there are: {topics.listing(there)}")
     return robot.model_copy(update=sections)
