@@ -84,9 +84,9 @@ class _Fit:
 
     @property
     def plain(self) -> bool:
-        """Nothing strange about it: the gyro fits, up is up, and the file is not off by more than a quarter turn."""
+        """Nothing strange about it: the gyro fits, up is up, and the file is not off by nearly a quarter turn."""
         fits = self.alignment.explained > _EXPLAINED and self.up_lidar[2] > _UPSIDE_DOWN
-        return fits and self.place is not None and self.place.angle_deg < 120.0
+        return fits and self.place is not None and self.place.angle_deg < 60.0
 
 
 def _fit(

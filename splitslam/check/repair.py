@@ -34,29 +34,35 @@ def repaired(path: Path, robot: Robot) -> tuple[Robot, list[Finding]]:
 
 
 def _topics(bag: Bag, robot: Robot, findings: list[Finding]) -> Robot:
-    there, name = bag.topics(), str(bag.path)
     sections: dict[str, Any] = {}
     for sensor in (topics.LIDAR, topics.IMU_SENSOR, topics.GNSS):
         section = getattr(robot, sensor.section)
-        try:
-            chosen, _ = topics.choose(sensor, section.topic if section else None, there, name)
-        except InputError as error:
-            findings.append(as_finding(error, path=bag.path))
-            chosen = _other_topic(sensor, there, name)
-            if chosen is not None and section.topic != AUTO:
-                findings.append(note(f"{sensor.section}.topic", f"{chosen} is looked at instead"))
         if section is None:
-            unused = [topic for topic, kind in there.items() if kind in sensor.types]
+            unused = [topic for topic, kind in bag.topics().items() if kind in sensor.types]
             findings += [note(sensor.section, f"none in the robot file, but there is {unused[0]}")] if unused else []
-        elif chosen is None and sensor is not topics.GNSS:
-            findings.append(
-                Finding(sensor.section, "none in the recording", " or ".join(map(topics.short, sensor.types)))
-            )
-        given = section is not None and chosen is not None
-        sections[sensor.section] = section.model_copy(update={"topic": chosen}) if given else None
+            continue
+        chosen = _topic(bag, sensor, section.topic, findings)
+        sections[sensor.section] = None if chosen is None else section.model_copy(update={"topic": chosen})
     if sections["lidar"] is None:
-        raise InputError(f"{name}: no LiDAR topic that can be used; there are: {topics.listing(there)}")
+        listing = topics.listing(bag.topics())
+        raise InputError(f"{bag.path}: no LiDAR topic that can be used; there are: {listing}")
     return robot.model_copy(update=sections)
+
+
+def _topic(bag: Bag, sensor: topics.Sensor, wanted: str, findings: list[Finding]) -> str | None:
+    """The topic named, or the one it could have meant."""
+    there, name = bag.topics(), str(bag.path)
+    try:
+        chosen, _ = topics.choose(sensor, wanted, there, name)
+        if chosen is None and sensor is topics.IMU_SENSOR:
+            findings.append(Finding("imu", "none in the recording", topics.short(topics.IMU)))
+        return chosen
+    except InputError as error:
+        findings.append(as_finding(error, path=bag.path))
+    chosen = None if wanted == AUTO else _other_topic(sensor, there, name)
+    if chosen is not None:
+        findings.append(note(f"{sensor.section}.topic", f"{chosen} is looked at instead"))
+    return chosen
 
 
 def _other_topic(sensor: topics.Sensor, there: dict[str, str], name: str) -> str | None:
