@@ -49,3 +49,6 @@ CHECK_NEES = 9.0
 # A smooth turn integrated by the trapezoidal rule, at 200 Hz and at 10 Hz.
 CHECK_INTEGRATED_RAD = 1e-4
 CHECK_INTEGRATED_10HZ_RAD = 0.02
+# The same during a run: its poses lean on the IMU's prediction.
+CHECK_LIVE_ROTATION_DEG = 0.8
+CHECK_LIVE_DELAY_S = 0.003
