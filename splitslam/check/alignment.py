@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 _TENT_S = 0.5  # half the width of the window that velocity changes are taken over
 _SAME_ERROR_RAD = np.radians(1.0)  # a turn of so much from pose to pose doubles the variance of its measurement
+_SLIP_RAD = np.radians(4.0)
 _ROBUST_SIGMAS = 2.5
 _INFLATION = 2.0  # odometry errors of neighbouring scans are alike: sigmas are larger than counting says
 _PRIOR_SIGMAS = np.repeat([3.0, 0.5, 0.05, 0.3, 30.0], [3, 1, 3, 3, 3])  # rad, s, rad/s, m/s2, m/s2
@@ -40,7 +41,8 @@ class Alignment:
 
     R_lidar_imu: (3, 3). covariance: (3, 3) rad^2 of a small turn about the LiDAR's axes. delay_s: IMU stamps say later
     than it was by so much. gyro_bias_radps, accel_bias_mps2: (3,), frame `imu`. gravity_odom_mps2: (3,) in the frame of
-    the poses. explained: share of the LiDAR's rotations (sum of squares) that the gyro accounts for.
+    the poses. explained: share of the LiDAR's turns that the gyro accounts for. slips: turns that it contradicts by
+    far, as when LiDAR odometry loses its hold in a fast one.
     """
 
     R_lidar_imu: Array
@@ -51,6 +53,7 @@ class Alignment:
     accel_bias_mps2: Array
     gravity_odom_mps2: Array
     explained: float
+    slips: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,12 +126,14 @@ class _Problem:
         J[:, :, _DOWN] = -self.tent_s[:, None, None] * np.eye(3)
         return self.velocity_change - predicted, J
 
-    def explained(self, s: _State, track: ImuTrack) -> float:
-        """1 less the share of squared rotation that is left over; standing still, which all explain, is no part."""
+    def agreement(self, s: _State, track: ImuTrack) -> tuple[float, int]:
+        """Share of the faster half of the turns that the gyro accounts for, and how many it contradicts grossly."""
         good = self.inside(track, s.tau_s)
-        moving = good[1:] & good[:-1] & (np.linalg.norm(self.turns, axis=1) > 1e-3)
-        left = self.rotation(s, track)[0][moving]
-        return 1.0 - float(np.sum(left**2) / max(np.sum(self.turns[moving] ** 2), 1e-12))
+        left = np.linalg.norm(self.rotation(s, track)[0], axis=1)[good[1:] & good[:-1]]
+        turn = np.linalg.norm(self.turns, axis=1)[good[1:] & good[:-1]]
+        fast = turn >= np.median(turn)
+        fits = left < turn / 3.0 + _SAME_ERROR_RAD / 10.0
+        return float(np.mean(fits[fast])), int(np.count_nonzero(left > _SLIP_RAD))
 
     def normal_equations(self, s: _State, track: ImuTrack) -> tuple[Array, Array, float]:
         """H (13, 13), gradient (13,), robust cost."""
@@ -187,6 +192,7 @@ def align(
             break
     H = problem.normal_equations(state, track)[0]
     C = _INFLATION**2 * np.linalg.inv(H)
+    explained, slips = problem.agreement(state, track)
     return Alignment(
         R_lidar_imu=state.X,
         covariance=np.asarray(C[_PHI, _PHI], np.float64),
@@ -195,7 +201,8 @@ def align(
         gyro_bias_radps=state.gyro_bias,
         accel_bias_mps2=state.accel_bias,
         gravity_odom_mps2=state.gravity,
-        explained=problem.explained(state, track),
+        explained=explained,
+        slips=slips,
     )
 
 

@@ -65,7 +65,7 @@ def judge(robot: Robot, motion: LidarMotion | None, samples: ImuSamples, scan_pe
         found.append(note("T_lidar_imu", text, "turns about two axes at least"))
         found += _present(inertial.gravity_direction(samples, robot, None))
         return ImuVerdict(tuple(found), samples, gravity_mps2, matched)
-    if fit.alignment.explained < _EXPLAINED:
+    if not fit.believable:
         text = (
             f"the gyro explains {max(fit.alignment.explained, 0.0):.0%} of the LiDAR's rotation, whatever its mounting"
         )
@@ -83,9 +83,15 @@ class _Fit:
     up_lidar: NDArray[np.float64]
 
     @property
+    def believable(self) -> bool:
+        """The gyro fits; or, where LiDAR odometry slipped, what is left of it agrees with the file, as by no chance."""
+        near = self.place is not None and self.place.angle_deg < mounting.ROTATION_LIMIT_DEG
+        return near or self.alignment.explained > _EXPLAINED
+
+    @property
     def plain(self) -> bool:
         """Nothing strange about it: the gyro fits, up is up, and the file is not off by nearly a quarter turn."""
-        fits = self.alignment.explained > _EXPLAINED and self.up_lidar[2] > _UPSIDE_DOWN
+        fits = self.believable and self.up_lidar[2] > _UPSIDE_DOWN
         return fits and self.place is not None and self.place.angle_deg < 60.0
 
 

@@ -100,6 +100,7 @@ def check_recording(
         found += [] if clock is None else [clock]
         verdict = judge(robot, motion, samples, period_s)
         found += verdict.findings
+        found += _slips(verdict)
     return Report(
         recording=path,
         robot=robot,
@@ -149,6 +150,13 @@ def _motion(odometry: LidarOdometry, scans: int) -> tuple[LidarMotion | None, li
         text = f"LiDAR odometry without the IMU was lost in {odometry.lost} of {scans} scans"
         return None, [note("T_lidar_imu", f"not tested: {text}", "a place with structure, slower motion")]
     return odometry.motion(), []
+
+
+def _slips(verdict: ImuVerdict) -> list[Finding]:
+    if verdict.alignment is None or not verdict.alignment.slips:
+        return []
+    text = f"LiDAR odometry without the IMU slipped in {verdict.alignment.slips} scans: the row of Table I is not exact"
+    return [note("lidar", text, "slower turns")]
 
 
 def _streams(robot: Robot, heard: _Heard) -> dict[str, StreamStatistics]:
