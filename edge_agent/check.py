@@ -24,7 +24,7 @@ from splitslam.check.findings import Finding, Severity, note, problems
 from splitslam.check.imu_verdict import ImuVerdict, judge
 from splitslam.check.motion import LidarMotion
 from splitslam.robot import Robot
-from splitslam.scan import ImuSamples, Scan
+from splitslam.scan import GnssFix, ImuSamples, Scan
 
 _log = logging.getLogger(__name__)
 
@@ -82,7 +82,7 @@ class LiveCheck:
                 self._heard.samples = [_joined(self._heard.samples)]
         elif isinstance(event, Scan):
             self._heard.scans_ns.append(event.stamp_ns)
-        else:
+        elif isinstance(event, GnssFix):
             self._heard.fixes_ns.append(event.stamp_ns)
 
     def on_answer(self, answer: Answer) -> None:

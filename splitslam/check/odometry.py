@@ -37,7 +37,7 @@ class LidarOdometry:
     """Takes scans in order; `motion` is where the LiDAR was. dropped: scans left out by reason; lost: not tracked."""
 
     def __init__(self, robot: Robot, beam_elevations_rad: NDArray[np.float32]) -> None:
-        alone = robot.model_copy(update={"imu": None, "gnss": None})
+        alone = robot.model_copy(update={"imu": None, "gnss": None, "wheels": None})
         self._beams = beam_elevations_rad
         self._node = ConstantVelocityNode(alone, ImuSettings())
         self._edge = EdgePipeline(alone, EdgeSettings(), beam_elevations_rad, self._node)
@@ -61,7 +61,7 @@ class LidarOdometry:
         frame = codec.decode(sent.payload, sent.seq, sent.stamp_ns, sent.dense, self._beams)
         a = self._map.process(frame)
         self._node.on_odometry(
-            OdometryReply(a.seq, a.stamp_ns, a.T_map_lidar, a.T_map_odom, a.covariance, int(a.state), False)
+            OdometryReply(a.seq, a.stamp_ns, a.T_map_lidar, a.T_map_odom, a.covariance, int(a.state), a.degenerate_axes)
         )
         self.lost += a.state is State.LOST
         self._starts_ns.append(scan.stamp_ns)

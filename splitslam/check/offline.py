@@ -22,7 +22,7 @@ from splitslam.check.streams import StreamStatistics
 from splitslam.check.table_one import TableOne, table_one
 from splitslam.errors import InputError
 from splitslam.robot import Robot, load_robot
-from splitslam.scan import ImuSamples, Scan
+from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
 DEFAULT_S = 60.0
 _LOOK_EVERY = 5  # scans whose layout is looked at
@@ -53,6 +53,7 @@ class _Heard:
 
     scan_ns: list[int] = field(default_factory=list)
     fix_ns: list[int] = field(default_factory=list)
+    wheels_ns: list[int] = field(default_factory=list)
     imu_ns: list[NDArray[np.int64]] = field(default_factory=list)
     imu_values: list[NDArray[np.float64]] = field(default_factory=list)
     recorded_s: float = 0.0
@@ -137,8 +138,10 @@ def _listen(
             odometry.add(event)
             if progress is not None:
                 progress(len(heard.scan_ns), recording.scan_count)
-        else:
+        elif isinstance(event, GnssFix):
             heard.fix_ns.append(event.stamp_ns)
+        elif isinstance(event, WheelSamples):
+            heard.wheels_ns += event.stamps_ns.tolist()
     if not heard.scan_ns:
         why = ", ".join(f"{n} {reason}" for reason, n in sorted(recording.dropped.items())) or "none in it"
         left = ", ".join(f"{n} points {reason}" for reason, n in sorted(recording.counts.left_out.items()))
@@ -163,6 +166,8 @@ def _streams(robot: Robot, heard: _Heard) -> dict[str, StreamStatistics]:
     stamps = {"lidar": np.array(heard.scan_ns, np.int64)}
     if robot.imu is not None:
         stamps["imu"] = heard.imu_stamps_ns()
+    if robot.wheels is not None:
+        stamps["wheels"] = np.array(heard.wheels_ns, np.int64)
     if robot.gnss is not None:
         stamps["gnss"] = np.array(heard.fix_ns, np.int64)
     return {name: streams.statistics(stamps_ns) for name, stamps_ns in stamps.items()}

@@ -35,8 +35,10 @@ def repaired(path: Path, robot: Robot) -> tuple[Robot, list[Finding]]:
 
 def _topics(bag: Bag, robot: Robot, findings: list[Finding]) -> Robot:
     sections: dict[str, Any] = {}
-    for sensor in (topics.LIDAR, topics.IMU_SENSOR, topics.GNSS):
+    for sensor in (topics.LIDAR, topics.IMU_SENSOR, topics.WHEELS, topics.GNSS):
         section = getattr(robot, sensor.section)
+        if section is None and sensor is topics.WHEELS:
+            continue  # Odometry is also what every filter publishes
         if section is None:
             unused = [topic for topic, kind in bag.topics().items() if kind in sensor.types]
             findings += [note(sensor.section, f"none in the robot file, but there is {unused[0]}")] if unused else []

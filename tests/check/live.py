@@ -17,7 +17,7 @@ from map_service.settings import PipelineSettings as MapSettings
 from splitslam import codec
 from splitslam.check.odometry import NoLoops
 from splitslam.robot import Robot
-from splitslam.scan import ImuSamples
+from splitslam.scan import ImuSamples, WheelSamples
 
 LAG = 2
 
@@ -38,6 +38,8 @@ def run_live(path: Path, robot: Robot, scans: int) -> tuple[LiveCheck, EdgeMetri
                 if isinstance(item, ImuSamples):
                     node.add_imu(item)
                     continue
+                if isinstance(item, WheelSamples):
+                    continue
                 if len(replies) >= LAG:
                     reply = replies[-LAG]
                     node.on_odometry(reply)
@@ -53,7 +55,7 @@ def run_live(path: Path, robot: Robot, scans: int) -> tuple[LiveCheck, EdgeMetri
                         a.T_map_odom,
                         a.covariance,
                         int(a.state),
-                        len(a.degenerate_axes) > 0,
+                        a.degenerate_axes,
                     )
                 )
     check.finish()

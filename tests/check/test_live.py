@@ -98,7 +98,14 @@ def answered(robot: Robot, samples: ImuSamples, drive: made.Drive = made.WALK, *
             T_map_odom = jump @ T_map_odom
         fields = {"state": 2, "rejected": "", **changes}
         reply = OdometryReply(
-            k + 1, stamp_ns, T_map_odom @ T, T_map_odom, np.eye(6), fields["state"], False, fields["rejected"]
+            k + 1,
+            stamp_ns,
+            T_map_odom @ T,
+            T_map_odom,
+            np.eye(6),
+            fields["state"],
+            np.zeros((0, 6)),
+            fields["rejected"],
         )
         check.on_answer(Answer(reply, False, None, 0.01))
     check.finish()
