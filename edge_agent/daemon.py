@@ -8,6 +8,7 @@ import threading
 from contextlib import ExitStack
 from typing import Any
 
+from edge_agent.check import LiveCheck
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
 from edge_agent.imu import make_imu_node
@@ -94,6 +95,7 @@ class _Run:
         self._tally = Tally(keep=config.output.dir is not None)
         self._progress = Progress(config.output.progress)
         self._sequencer = Sequencer(robot)
+        self._check = LiveCheck(robot, metrics)
         metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
         self._sink = AgentSink(
             tally=self._tally,
@@ -166,7 +168,7 @@ class _Run:
             self._tally.first_seq = welcome.applied_seq + 1
             skip_to_ns = max((pose.stamp_ns for pose in welcome.last_poses), default=-1)
             _log.warning("run %s continued after scan %d", self._run_id.value, welcome.applied_seq)
-        parts = Parts(self._sequencer, self._imu, self._pipeline, self._uplink, self._sink, self._metrics)
+        parts = Parts(self._sequencer, self._imu, self._pipeline, self._uplink, self._sink, self._metrics, self._check)
         return AgentLoop(parts, not self._config.source.realtime, skip_to_ns)
 
     def _nothing_usable(self) -> None:
@@ -196,5 +198,6 @@ class _Run:
             "wheels": self._imu.wheels_report,
             "imu_resets": self._imu.resets,
             "dropped_by_reason": self._metrics.all_dropped(),
+            "check": [finding.as_dict() for finding in self._check.finish()],
             **tally.by_scan(),
         }

@@ -77,9 +77,16 @@ class Sink(Protocol):
     def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None: ...
 
 
+class Check(Protocol):
+    """edge_agent.check.LiveCheck."""
+
+    def on_event(self, event: Event) -> None: ...
+    def on_answer(self, answer: Answer) -> None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What the loop drives."""
+    """What the loop drives. check: looks on."""
 
     sequencer: Sequencer
     imu: Imu
@@ -87,6 +94,7 @@ class Parts:
     uplink: Uplink
     sink: Sink
     metrics: EdgeMetrics
+    check: Check | None = None
 
 
 class AgentLoop:
@@ -105,6 +113,8 @@ class AgentLoop:
                 self._apply_answers(None)
             items: list[Item] = []
             for _, event in batch:
+                if parts.check is not None:
+                    parts.check.on_event(event)
                 items += parts.sequencer.push(event)
             self._take(items)
             if self.stopped:
@@ -179,6 +189,8 @@ class AgentLoop:
                 parts.metrics.drop(f"rejected_{answer.reply.rejected}")
             parts.imu.on_odometry(answer.reply)
             parts.sink.on_answer(answer)
+            if parts.check is not None:
+                parts.check.on_answer(answer)
         parts.metrics.state.set(self._state())
 
     def _state(self) -> int:

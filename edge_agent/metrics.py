@@ -89,6 +89,11 @@ class EdgeMetrics:
         self.buffer_bytes = self._gauge("buffer_bytes", "Bytes of the kept frames")
         self.queue_events = self._gauge("queue_events", "Sensor messages read and not yet processed")
         self.feed_readers = self._gauge("feed_readers", "Readers of the local pose feed")
+        self.check_problems = self._gauge("check_problems", "What the robot file and the first seconds do not agree on")
+        self.check_rotation = self._gauge("check_rotation_degrees", "T_lidar_imu off by, by the motion; NaN: unknown")
+        self.check_time_offset = self._gauge("check_time_offset_seconds", "The IMU's stamps likewise; NaN: unknown")
+        for gauge in (self.check_rotation, self.check_time_offset):
+            gauge.set(float("nan"))
         self._server: WSGIServer | None = None
 
     def _histogram(self, name: str, text: str, labels: Sequence[str] = ()) -> Histogram:

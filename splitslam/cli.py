@@ -91,6 +91,34 @@ def run(
     _show_run(report, out, as_json)
 
 
+@app.command("check")
+def check(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="ROS 1 bag, ROS 2 bag or mcap.")],
+    robot: Annotated[Path, typer.Option(metavar="FILE", help="Robot file: the sensors, YAML.")],
+    seconds: Annotated[float, typer.Option(metavar="S", help="How much of the recording, from its start.")] = 60.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Hold a recording against its robot file. Exit code 1 when something is to be mended, 2 for bad input."""
+    import json
+
+    from splitslam.run.options import check_installed
+    from splitslam.run.progress import Progress
+
+    if not seconds > 0:
+        raise InputError(f"--seconds: expected more than 0, found {seconds:g}")
+    check_installed(("edge", "server"))
+    from splitslam.check import show
+    from splitslam.check.offline import check_recording
+
+    with Progress() as progress:
+        progress.stage("checking")
+        report = check_recording(recording, robot, seconds, progress.made)
+    result = show.as_dict(report)
+    print(json.dumps(result, allow_nan=False)) if as_json else show.show(report)
+    if not result["ok"]:
+        raise typer.Exit(1)
+
+
 @app.command("demo")
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.")] = Path("out/demo"),

@@ -39,3 +39,16 @@ ODOM_STEP_DEG = 0.3
 WHEELS_DRIFT_SHARE = 0.01
 # What a fault of the GNSS receiver (a jump of 15 m for 6 s, and its kin) may move the map.
 GNSS_JUMP_MOVES_MAP_M = 0.3
+
+
+# `splitslam check` on made motions: 0.3 mrad and 5 mm a pose, an IMU of 0.1 deg/s and 0.05 m/s2 a sample.
+CHECK_ROTATION_DEG = 0.5
+CHECK_DELAY_S = 0.0015
+# Squared error in sigmas, per axis, that no seed may exceed (three sigma).
+CHECK_NEES = 9.0
+# A smooth turn integrated by the trapezoidal rule, at 200 Hz and at 10 Hz.
+CHECK_INTEGRATED_RAD = 1e-4
+CHECK_INTEGRATED_10HZ_RAD = 0.02
+# The same during a run: its poses lean on the IMU's prediction.
+CHECK_LIVE_ROTATION_DEG = 0.8
+CHECK_LIVE_DELAY_S = 0.003

@@ -26,7 +26,7 @@ _DUAL = 0x39
 _HOUR_US = 3_600_000_000
 _MAX_SCAN_NS = 2_000_000_000
 _COARSE_NS = 5_000  # the decoder's times: microseconds of the sensor, as float32
-_SENSORS = {0x21: "hdl32", 0x22: "vlp16"}
+SENSOR_OF_CODE = {0x21: "hdl32", 0x22: "vlp16"}
 _MODELS = {"vlp16": vd.Model.VLP16, "hdl32": vd.Model.HDL32E}
 _PER_FIRING = {"vlp16": 16, "hdl32": 32}
 
@@ -45,7 +45,7 @@ class VelodyneDecoder:
         """InputError text when the packets say they come from another sensor than the robot file."""
         if len(message.packets) == 0 or len(message.packets[0].data) != PACKET_BYTES:
             return
-        sensor = _SENSORS.get(int(message.packets[0].data[-1]))
+        sensor = SENSOR_OF_CODE.get(int(message.packets[0].data[-1]))
         if sensor is not None and sensor != self._model:
             raise InputError(f"lidar.model: packets come from a {sensor}, expected lidar.model: {sensor}")
 
@@ -136,7 +136,7 @@ def _packet_offsets_ns(data: list[bytes], host_ns: NDArray[np.int64]) -> NDArray
 
 def _learn_table(model: str, dual: bool) -> NDArray[np.int64]:
     """Decodes one packet in which every laser returns, and reads the decoder's own times off it."""
-    code = {name: number for number, name in _SENSORS.items()}[model]
+    code = {name: number for number, name in SENSOR_OF_CODE.items()}[model]
     block_pair = 2 if dual else 1
     packet = bytearray()
     for block in range(12):

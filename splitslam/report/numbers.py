@@ -19,6 +19,7 @@ _FROM_EDGE = (
     "wall_s",
     "recording_s",
     "dropped_by_reason",
+    "check",
     "session_id",
     "run_id",
 )

@@ -40,6 +40,7 @@ def edge_json() -> dict:
         "run_id": "run",
         "scans": {"read": SCANS + 1, "sent": SCANS, "mapped": SCANS, "dropped": 1},
         "dropped_by_reason": {"nan": 1},
+        "check": [],
         "recording_s": 1.2,
         "wall_s": 0.4,
         "edge_ms": stages,
