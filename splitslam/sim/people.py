@@ -62,9 +62,9 @@ def ranges_to_person(walker: Walker, place: Place, t_s: Array, origins: Array, d
     middle = walker.positions(t_s[len(t_s) // 2 : len(t_s) // 2 + 1])[0]
     towards = middle - origins[len(t_s) // 2, :2]
     distance = float(np.linalg.norm(towards))
-    flat = directions[:, :2] / np.linalg.norm(directions[:, :2], axis=1)[:, None]
     near = np.arcsin(min(1.0, _REACH_M / max(distance, _REACH_M)))
-    rays = np.flatnonzero(flat @ (towards / max(distance, 1e-9)) >= np.cos(near))
+    ahead = directions[:, :2] @ (towards / max(distance, 1e-9))
+    rays = np.flatnonzero(ahead >= np.cos(near) * np.hypot(directions[:, 0], directions[:, 1]))
     if len(rays) == 0:
         return out
     t, origin, direction = t_s[rays], origins[rays], directions[rays]
