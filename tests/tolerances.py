@@ -40,7 +40,6 @@ WHEELS_DRIFT_SHARE = 0.01
 # What a fault of the GNSS receiver (a jump of 15 m for 6 s, and its kin) may move the map.
 GNSS_JUMP_MOVES_MAP_M = 0.3
 
-
 # The long made drives against the paper's Table I, which gives elevations to 0.1 m.
 TABLE_1_RELATIVE = 0.01
 TABLE_1_ELEVATION_M = 0.05
