@@ -89,7 +89,7 @@ def robot_file(spec: DriveSpec) -> str:
         "gravity_mps2": spec.gravity_mps2,
     }
     if spec.wheels is not None:
-        robot |= {"wheels": {"topic": WHEELS_TOPIC}, "T_body_lidar": _rows(T_body_lidar(spec, spec.wheels))}
+        robot |= {"wheels": {"topic": WHEELS_TOPIC}, "T_body_lidar": _rows(T_body_lidar(spec))}
     return yaml.safe_dump(robot, sort_keys=False, default_flow_style=None, width=120)
 
 
