@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from splitslam.sim import DRIVES, DriveSpec
 from splitslam.sim.lidar import FIRING_NS, LASERS, Vlp16
+from splitslam.sim.people import walkers
 from splitslam.sim.places import twins
 from splitslam.sim.spec import WorldSpec
 from splitslam.sim.trajectory import Trajectory, drive_trajectory
@@ -55,6 +56,17 @@ def test_the_way_keeps_clear_of_every_surface(name: str) -> None:
     below = world.cast(position, np.tile([0.0, 0.0, -1.0], (len(position), 1))).range_m
     assert below.min() > 0.7 * spec.path.height_m, "the ground is where the sensor's bearer walks or drives"
     assert below.max() < 1.3 * spec.path.height_m
+
+
+@ALL
+def test_people_keep_clear_of_the_sensor_whatever_the_seed(name: str) -> None:
+    spec, world, trajectory = _drive(name)
+    t_s = np.arange(0.0, spec.duration_s, 0.1)
+    way = trajectory.poses(t_s)[1][:, :2]
+    for seed in range(1, 6):
+        people = walkers(world.place, 6, seed, t_s, way)
+        assert len(people) == 6
+        assert min(np.linalg.norm(walker.positions(t_s) - way, axis=1).min() for walker in people) > 0.6
 
 
 @ALL
