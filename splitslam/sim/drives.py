@@ -104,7 +104,7 @@ def _long_form(name: str, place: str, waypoints: Waypoints, scans: int, length_m
     speed_mps = length_m / (duration_s - stand_s - accel_s / 2)
     path = PathSpec(waypoints_m=waypoints, speed_mps=speed_mps, stand_s=stand_s, accel_s=accel_s, gait=0.6,
                     head_turns=tuple(head_turns))  # fmt: skip
-    what = f"as long as the paper's {name.removeprefix('paper_').capitalize()} data: {scans} scans, {length_m:.0f} m"
+    what = f"on foot, with the figures of the paper's {name.removeprefix('paper_').capitalize()} data (Table I)"
     return DriveSpec(name=name, what=what, duration_s=duration_s, world=WorldSpec(place), path=path)
 
 
