@@ -52,3 +52,6 @@ CHECK_INTEGRATED_10HZ_RAD = 0.02
 # The same during a run: its poses lean on the IMU's prediction.
 CHECK_LIVE_ROTATION_DEG = 0.8
 CHECK_LIVE_DELAY_S = 0.003
+# The long made drives against the paper's Table I, which gives elevations to 0.1 m.
+TABLE_1_RELATIVE = 0.01
+TABLE_1_ELEVATION_M = 0.05

@@ -11,6 +11,7 @@ from splitslam.sim import people
 from splitslam.sim.places.materials import GLASS
 from splitslam.sim.seeds import stream
 from splitslam.sim.spec import DriveSpec
+from splitslam.sim.trajectory import Trajectory
 from splitslam.sim.world import Hits, World
 
 Array = NDArray[np.float64]
@@ -26,11 +27,13 @@ _BEYOND_M = 2e-3  # a ray goes on behind or off a pane from here, not to meet it
 class Beams:
     """Beams on their way through a world with its people and with the faults of a drive."""
 
-    def __init__(self, spec: DriveSpec, world: World) -> None:
+    def __init__(self, spec: DriveSpec, world: World, trajectory: Trajectory) -> None:
         self._world = world
         self._faults = spec.perturbations
         self._seed = spec.seed
-        self._walkers = people.walkers(world.place, self._faults.walking_people, spec.seed)
+        t_s = np.arange(0.0, spec.duration_s, 0.1)
+        way_m = trajectory.poses(t_s)[1][:, :2]
+        self._walkers = people.walkers(world.place, self._faults.walking_people, spec.seed, t_s, way_m)
 
     def cast(self, scan: int, t_s: Array, origins: Array, directions: Array) -> Hits:
         """What makes the echo of each beam. t_s (N,); origins, directions (N, 3), world frame, directions of length 1.

@@ -9,7 +9,7 @@ import numpy as np
 
 from splitslam.sim.places import corridor, park, quarter, street, twins
 from splitslam.sim.places.ways import Waypoints
-from splitslam.sim.spec import DEMO, DriveSpec, HeadTurn, LidarSpec, PathSpec, SpeedChange, WorldSpec
+from splitslam.sim.spec import DriveSpec, HeadTurn, LidarSpec, PathSpec, SpeedChange, WorldSpec
 from splitslam.sim.trajectory import MARGIN_S
 
 _Leg = tuple[float, float, float]
@@ -104,7 +104,7 @@ def _long_form(name: str, place: str, waypoints: Waypoints, scans: int, length_m
     speed_mps = length_m / (duration_s - stand_s - accel_s / 2)
     path = PathSpec(waypoints_m=waypoints, speed_mps=speed_mps, stand_s=stand_s, accel_s=accel_s, gait=0.6,
                     head_turns=tuple(head_turns))  # fmt: skip
-    what = f"as long as the paper's {name.removeprefix('paper_').capitalize()} data: {scans} scans, {length_m:.0f} m"
+    what = f"on foot, with the figures of the paper's {name.removeprefix('paper_').capitalize()} data (Table I)"
     return DriveSpec(name=name, what=what, duration_s=duration_s, world=WorldSpec(place), path=path)
 
 
@@ -112,7 +112,25 @@ PAPER_WALKING = _long_form("paper_walking", "quarter", quarter.walking_way(), 65
 PAPER_CAMPUS = _long_form("paper_campus", "quarter", quarter.campus_way(), 9865, 1434.0, 55.0)
 PAPER_PARK = _long_form("paper_park", "park", park.long_round(), 24691, 2867.0, 123.0)
 
-CAMPUS = replace(DEMO, name="campus", what="on foot round a pavilion between buildings and trees, and the start again")
+CAMPUS = DriveSpec(
+    name="campus",
+    what="on foot from a yard through a gate to a street, back over a green, and past the start",
+    duration_s=60.0,
+    path=PathSpec(
+        waypoints_m=(
+            *((-8.6, 2.0), (-8.0, -2.0), (-6.4, -6.2), (-4.4, -9.8), (-3.6, -13.2), (-5.6, -15.3), (-11.0, -15.4)),
+            *((-18.0, -15.3), (-25.0, -15.4), (-29.5, -15.6), (-31.4, -14.2), (-30.2, -11.2), (-25.5, -9.2)),
+            *((-20.8, -9.2), (-18.4, -11.2), (-14.4, -10.6), (-10.8, -8.0), (-9.2, -3.8), (-8.8, 1.0)),
+            *((-7.0, 4.6), (-2.5, 5.6), (2.5, 5.6), (5.5, 8.0), (0.0, 8.2), (-6.0, 7.4)),
+        ),
+        speed_mps=1.65,
+        head_turns=(
+            *(HeadTurn(8.0, 50.0, 2.0), HeadTurn(17.0, -60.0, 2.2), HeadTurn(27.0, 62.0, 1.9)),
+            *(HeadTurn(37.0, -55.0, 1.8), HeadTurn(48.0, 60.0, 2.0)),
+        ),
+    ),
+)
+
 DRIVES = {
     spec.name: spec
     for spec in (

@@ -64,7 +64,7 @@ class Vlp16:
     def __init__(self, spec: DriveSpec, world: World, trajectory: Trajectory) -> None:
         self._spec = spec
         self._trajectory = trajectory
-        self._beams = Beams(spec, world)
+        self._beams = Beams(spec, world, trajectory)
         bias = stream(spec.seed, "laser bias").normal(0.0, 1.0, LASERS)
         self._laser_bias_m = spec.perturbations.laser_bias_m * bias
 

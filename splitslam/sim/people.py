@@ -13,6 +13,8 @@ from splitslam.sim.seeds import stream
 Array = NDArray[np.float64]
 
 REFLECTIVITY = 45
+_CLEAR_M = 0.6
+_TRIES = 100
 _REACH_M = 0.9  # no part of a person is farther from the middle of the body, however the sensor moves in a scan
 # Ellipsoids: middle's height, horizontal and vertical half-axes (m), swing of the stride (-1, 0, 1).
 _PARTS = ((1.63, 0.10, 0.13, 0.0), (1.15, 0.20, 0.36, 0.0), (0.45, 0.10, 0.46, 1.0), (0.45, 0.10, 0.46, -1.0))
@@ -35,14 +37,20 @@ class Walker:
         return (a + b) / 2 + np.cos(angle)[:, None] * half
 
 
-def walkers(place: Place, count: int, seed: int) -> tuple[Walker, ...]:
-    """`count` people spread over the place's walkways."""
+def walkers(place: Place, count: int, seed: int, t_s: Array, way_m: Array) -> tuple[Walker, ...]:
+    """`count` people spread over the place's walkways, who keep clear of the sensor: at times (N,) it is at (N, 2)."""
     rng = stream(seed, "people")
     ways = [place.walkways[k % len(place.walkways)] for k in range(count)] if place.walkways else []
-    return tuple(
-        Walker((ax, ay), (bx, by), float(rng.uniform(0, 2 * np.pi)), float(rng.uniform(0.9, 1.4)))
-        for ax, ay, bx, by in ways
-    )
+    return tuple(_walker(way, rng, t_s, way_m) for way in ways)
+
+
+def _walker(way: tuple[float, float, float, float], rng: np.random.Generator, t_s: Array, way_m: Array) -> Walker:
+    ax, ay, bx, by = way
+    for _ in range(_TRIES):
+        walker = Walker((ax, ay), (bx, by), float(rng.uniform(0, 2 * np.pi)), float(rng.uniform(0.9, 1.4)))
+        if np.linalg.norm(walker.positions(t_s) - way_m, axis=1).min() > _CLEAR_M:
+            return walker
+    raise ValueError(f"no walker on the way {way} keeps {_CLEAR_M} m from the sensor")
 
 
 def ranges_to_person(walker: Walker, place: Place, t_s: Array, origins: Array, directions: Array) -> Array:
@@ -54,9 +62,9 @@ def ranges_to_person(walker: Walker, place: Place, t_s: Array, origins: Array, d
     middle = walker.positions(t_s[len(t_s) // 2 : len(t_s) // 2 + 1])[0]
     towards = middle - origins[len(t_s) // 2, :2]
     distance = float(np.linalg.norm(towards))
-    flat = directions[:, :2] / np.linalg.norm(directions[:, :2], axis=1)[:, None]
     near = np.arcsin(min(1.0, _REACH_M / max(distance, _REACH_M)))
-    rays = np.flatnonzero(flat @ (towards / max(distance, 1e-9)) >= np.cos(near))
+    ahead = directions[:, :2] @ (towards / max(distance, 1e-9))
+    rays = np.flatnonzero(ahead >= np.cos(near) * np.hypot(directions[:, 0], directions[:, 1]))
     if len(rays) == 0:
         return out
     t, origin, direction = t_s[rays], origins[rays], directions[rays]

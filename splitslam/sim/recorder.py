@@ -19,9 +19,10 @@ from splitslam.sim.imu import carried_imu, simulate_imu, stated_T_lidar_imu
 from splitslam.sim.lidar import Sweep, Vlp16
 from splitslam.sim.spec import DriveSpec
 from splitslam.sim.trajectory import Trajectory, drive_trajectory
-from splitslam.sim.truth import tum
+from splitslam.sim.truth import truth
 from splitslam.sim.wheels import T_body_lidar, simulate_wheels
 from splitslam.sim.world import make_world
+from splitslam.tum import write_tum
 
 SCAN_TOPIC, IMU_TOPIC, GNSS_TOPIC, WHEELS_TOPIC = "/velodyne_packets", "/imu/data", "/gps/fix", "/wheel/odom"
 _DENSE_NS = 10_000_000  # between them a walker's pose is within 0.1 mm of a straight line
@@ -61,9 +62,9 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
     part.unlink(missing_ok=True)
     _write_bag(part, spec, trajectory, watched())
     part.replace(out.bag_path)
-    out.truth_path.write_text(tum(trajectory, spec.start_ns, np.array(scans_ns, np.int64)))
+    write_tum(out.truth_path, truth(trajectory, spec.start_ns, np.array(scans_ns, np.int64)))
     dense_ns = np.arange(int(spec.duration_s * 1e9 / _DENSE_NS) + 1) * _DENSE_NS
-    out.imu_truth_path.write_text(tum(trajectory, spec.start_ns, dense_ns))
+    write_tum(out.imu_truth_path, truth(trajectory, spec.start_ns, dense_ns))
     out.robot_path.write_text(robot_file(spec))
     return out
 
@@ -88,7 +89,7 @@ def robot_file(spec: DriveSpec) -> str:
         "gravity_mps2": spec.gravity_mps2,
     }
     if spec.wheels is not None:
-        robot |= {"wheels": {"topic": WHEELS_TOPIC}, "T_body_lidar": _rows(T_body_lidar(spec, spec.wheels))}
+        robot |= {"wheels": {"topic": WHEELS_TOPIC}, "T_body_lidar": _rows(T_body_lidar(spec))}
     return yaml.safe_dump(robot, sort_keys=False, default_flow_style=None, width=120)
 
 

@@ -97,13 +97,12 @@ class GnssSpec:
 
 @dataclass(frozen=True)
 class WheelSpec:
-    """Wheel odometry of frame `body`, which lies below and behind the sensor: forward speed and yaw rate."""
+    """Wheel odometry of frame `body`, which lies on the ground below the sensor: forward speed and yaw rate."""
 
     rate_hz: float = 50.0
     scale_error: float = 0.01  # standard deviation, forward speed and yaw rate each
     speed_noise_mps: float = 0.02
     yaw_rate_noise_radps: float = 0.01
-    t_body_lidar_m: tuple[float, float] = (0.25, 0.0)  # ahead and left; the height is that of the path
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The truth of a drive as TUM lines."""
+"""The truth of a drive."""
 
 from __future__ import annotations
 
@@ -6,16 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from splitslam import tum
 from splitslam.sim.trajectory import Trajectory
 
 
-def tum(trajectory: Trajectory, start_ns: int, at_ns: NDArray[np.int64]) -> str:
+def truth(trajectory: Trajectory, start_ns: int, at_ns: NDArray[np.int64]) -> tum.Trajectory:
     """T_world_lidar at times (N,) after the drive's start; stamps are `start_ns` later."""
     R, position = trajectory.poses(at_ns.astype(np.float64) * 1e-9)
-    quaternion = Rotation.from_matrix(R).as_quat(canonical=True)
-    stamps = (start_ns + at_ns).tolist()
-    rows = np.concatenate([position, quaternion], axis=1).tolist()
-    return "".join(
-        f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(f'{value:.9f}' for value in row)}\n"
-        for stamp, row in zip(stamps, rows, strict=True)
-    )
+    return tum.Trajectory(start_ns + at_ns, position, Rotation.from_matrix(R).as_quat(canonical=True))

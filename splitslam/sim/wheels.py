@@ -27,10 +27,10 @@ class WheelSamples:
     pose: Array
 
 
-def T_body_lidar(spec: DriveSpec, wheels: WheelSpec) -> Array:
-    """(4, 4): `body` is level with the ground under the vehicle, its axes those of the sensor."""
+def T_body_lidar(spec: DriveSpec) -> Array:
+    """(4, 4): `body` lies on the ground below the sensor, where there is no sideways speed; its axes are the same."""
     T = np.eye(4)
-    T[:3, 3] = (*wheels.t_body_lidar_m, spec.path.height_m)
+    T[2, 3] = spec.path.height_m
     return T
 
 
@@ -38,7 +38,7 @@ def simulate_wheels(spec: DriveSpec, wheels: WheelSpec, trajectory: Trajectory) 
     """All samples of the drive."""
     at_ns = np.rint(np.arange(int(spec.duration_s * wheels.rate_hz)) * 1e9 / wheels.rate_hz).astype(np.int64)
     t_s = at_ns.astype(np.float64) * 1e-9
-    true_speed, true_rate = true_wheels(spec, wheels, trajectory, t_s)
+    true_speed, true_rate = true_wheels(spec, trajectory, t_s)
     rng = stream(spec.seed, "wheels")
     scale = 1.0 + wheels.scale_error * rng.normal(0.0, 1.0, 2)
     noise = rng.normal(0.0, 1.0, (2, len(t_s)))
@@ -47,10 +47,10 @@ def simulate_wheels(spec: DriveSpec, wheels: WheelSpec, trajectory: Trajectory) 
     return WheelSamples(spec.start_ns + at_ns, speed, yaw_rate, _added_up(speed, yaw_rate, 1.0 / wheels.rate_hz))
 
 
-def true_wheels(spec: DriveSpec, wheels: WheelSpec, trajectory: Trajectory, t_s: Array) -> tuple[Array, Array]:
+def true_wheels(spec: DriveSpec, trajectory: Trajectory, t_s: Array) -> tuple[Array, Array]:
     """Velocity of the origin of `body` along its x axis (N,), m/s, and its turn about its z axis (N,), rad/s."""
     motion = trajectory.motion(t_s)
-    body_in_lidar = -T_body_lidar(spec, wheels)[:3, 3]  # the axes are the same
+    body_in_lidar = -T_body_lidar(spec)[:3, 3]  # the axes are the same
     velocity = np.einsum("nji,nj->ni", motion.R_world_lidar, motion.velocity_mps)
     velocity += np.cross(motion.omega_radps, body_in_lidar)
     return velocity[:, 0], motion.omega_radps[:, 2]

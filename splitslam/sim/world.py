@@ -83,7 +83,7 @@ class World:
         )
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def make_world(spec: WorldSpec) -> World:
     """Builds the place of `spec` (once in a process); raises InputError for an unknown kind."""
     if spec.kind not in WORLDS:

@@ -119,16 +119,11 @@ def test_people_are_seen_and_they_move(tmp_path: Path, recording: SimRecording) 
     assert not set(azimuth[0]) >= set(azimuth[1])
 
 
-def test_the_demo_returns_to_where_it_began_and_never_meets_a_person() -> None:
-    from splitslam.sim.people import walkers
-
-    place = make_world(DEMO.world).place
+def test_the_demo_returns_to_where_it_began() -> None:
     t_s = np.arange(0.0, DEMO.duration_s, 0.05)
-    way = make_trajectory(DEMO.path, place, DEMO.duration_s).poses(t_s)[1]
+    way = make_trajectory(DEMO.path, make_world(DEMO.world).place, DEMO.duration_s).poses(t_s)[1]
     back = np.linalg.norm(way[t_s > 35.0, None, :2] - way[t_s < 12.0][None, :, :2], axis=2)
     assert back.min(axis=1)[-1] < 0.2, "the last metres are those of the start, more than 30 s later"
-    for walker in walkers(place, DEMO.perturbations.walking_people, DEMO.seed):
-        assert np.linalg.norm(walker.positions(t_s) - way[:, :2], axis=1).min() > 1.5
 
 
 def _messages(recording: SimRecording, topic: str) -> list[Any]:

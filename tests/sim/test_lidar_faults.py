@@ -42,7 +42,8 @@ def _fan(half_deg: float, count: int) -> tuple[Array, Array, Array]:
 
 
 def _beams(world: World, **faults: float) -> Beams:
-    return Beams(replace(SHORT, perturbations=replace(Perturbations(), **faults)), world)
+    spec = replace(SHORT, perturbations=replace(Perturbations(), **faults))
+    return Beams(spec, world, make_trajectory(spec.path, world.place, spec.duration_s))
 
 
 def test_at_an_edge_wide_beams_report_ranges_between_the_two_surfaces() -> None:

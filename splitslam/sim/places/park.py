@@ -30,7 +30,7 @@ def short_round() -> Waypoints:
 
 def long_round() -> Waypoints:
     """A winding loop of about 720 m, up the hill and down again."""
-    turn = np.arange(48) * 2 * np.pi / 48
+    turn = np.arange(96) * 2 * np.pi / 96
     r = 88.0 + 16.0 * np.sin(3 * turn + 0.6) + 9.0 * np.cos(5 * turn)
     return _points(1.05 * r * np.cos(turn), 0.95 * r * np.sin(turn))
 
@@ -104,9 +104,10 @@ def _woods(mesh: Mesh, ways: Array, rng: np.random.Generator) -> None:
                 _park_tree(mesh, rng, fineness=3 if off < 12.0 else 2)
     for _ in range(420):
         x, y = ways[rng.integers(len(ways))] + rng.normal(0.0, 5.0, 2)
-        if _off(ways, x, y) > _CLEAR_M - 0.4:
+        size_m = float(rng.uniform(0.5, 1.2))
+        if _off(ways, x, y) > 0.8 + 2.0 * size_m:
             with mesh.at((float(x), float(y), _z(x, y))):
-                bush(mesh, 0.0, 0.0, float(rng.uniform(0.5, 1.2)), rng)
+                bush(mesh, 0.0, 0.0, size_m, rng)
     for _ in range(160):
         x, y = ways[rng.integers(len(ways))] + rng.normal(0.0, 6.0, 2)
         if _off(ways, x, y) > _CLEAR_M - 0.6:

@@ -41,7 +41,7 @@ def build_twins(seed: int) -> Place:
     _halls(mesh)
     _lobby(mesh, rng)
     triangles, reflectivity = mesh.arrays()
-    east = LENGTH_M + 0.5
+    east = LENGTH_M + 2.0
     walkways = ((-6.5, -2.8, -3.5, -3.0), (east, 1.0, east, 15.0), (1.0, 0.7, 12.0, 0.7), (1.0, 9.1, 12.0, 9.1))
     return Place(triangles, reflectivity, _floor, walkways)
 
@@ -74,7 +74,7 @@ def _rooms(mesh: Mesh) -> None:
 
 def _halls(mesh: Mesh) -> None:
     """Both halls across the corridors' ends, windows outside; floor and ceiling of all."""
-    low, high = -_HALF_M - _ROOM_M, (CORRIDORS - 1) * SPACING_M + _HALF_M + _ROOM_M
+    low, high = -_HALF_M - _ROOM_M - 0.1, (CORRIDORS - 1) * SPACING_M + _HALF_M + _ROOM_M + 0.1
     x0, x1 = -10.0, LENGTH_M + _HALL_M
     for z, material in ((0.0, PAVING), (_HIGH_M, PLASTER)):
         corners = [[x0, low - 1.0, z], [x1, low - 1.0, z], [x1, high, z], [x0, high, z]]
