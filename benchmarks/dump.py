@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_agent.sources import Recording, Sequencer, open_recording
 from splitslam.robot import Robot, load_robot
@@ -51,9 +52,22 @@ def write_dump(recording: Path, robot: Path, folder: Path, *, max_scans: int | N
     return len(scans)
 
 
-def scan_stamps_ns(folder: Path) -> np.ndarray:
-    """(N,) int64, the stamps of a dump's scans."""
-    return np.load(folder / "scans.npy")["stamp_ns"].astype(np.int64)
+def scan_stamps_ns(recording: Path, robot: Path, *, max_scans: int | None = None) -> NDArray[np.int64]:
+    """(N,) int64, the stamps of the scans that a system should have a pose for. Raises InputError."""
+    with open_recording(recording, load_robot(robot), max_scans=max_scans) as source:
+        stamps = [item.scan.stamp_ns for item in _released(source) if isinstance(item, ScanPacket)]
+    return np.array(stamps, np.int64)
+
+
+def read_scans(folder: Path) -> list[tuple[int, NDArray[np.float64], NDArray[np.int64]]]:
+    """A dump's scans: (stamp_ns, points (N, 3) m at their own times, times after the stamp (N,) ns)."""
+    points = np.memmap(folder / "points.bin", POINT, "r")
+    out = []
+    for row in np.load(folder / "scans.npy"):
+        part = points[row["begin"] : row["end"]]
+        xyz = np.stack([part[name] for name in "xyz"], axis=1).astype(np.float64)
+        out.append((int(row["stamp_ns"]), xyz, part["t"].astype(np.int64)))
+    return out
 
 
 def _released(source: Recording) -> Iterator[ImuSamples | ScanPacket]:

@@ -109,7 +109,7 @@ def dense(truth: Trajectory) -> Trajectory:
     Between poses 0.1 s apart a straight line is some millimetres off a walker's head, which would be held against
     exactly those whose stamps lie there.
     """
-    if len(truth) < 4:
+    if len(truth) < 4 or np.median(np.diff(truth.stamps_ns)) <= _DENSE_NS:
         return truth
     at_s = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     steps_ns = np.arange(0, truth.stamps_ns[-1] - truth.stamps_ns[0], _DENSE_NS)
