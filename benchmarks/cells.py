@@ -137,6 +137,8 @@ class _Job:
             maps.append(sharpness.place(scans, trajectory, truth, cell["score"]["offset_ns"]))
         maps.append(sharpness.place(scans, _at(truth, self._stamps()), truth, 0))
         result = sharpness.compare(maps)
+        if result is None:
+            return {"ended": "no planes that all maps have"}
         return {"cells": result.cells, **dict(zip((*_COMPARED, "truth"), result.thickness_m, strict=True)), "ended": ""}
 
     def _score(self, trajectory: Trajectory | None, *, search: bool) -> Cell:

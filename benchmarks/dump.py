@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -71,10 +72,16 @@ def read_scans(folder: Path) -> list[tuple[int, NDArray[np.float64], NDArray[np.
 
 
 def _released(source: Recording) -> Iterator[ImuSamples | ScanPacket]:
+    """Scans and IMU samples in the sequencer's order; no peer takes more."""
     sequencer = Sequencer(source.robot)
-    for _, event in source.events():
-        yield from sequencer.push(event)
-    yield from sequencer.finish()
+    pushed = chain.from_iterable(sequencer.push(event) for _, event in source.events())
+    for item in chain(pushed, _finish(sequencer)):
+        if isinstance(item, ImuSamples | ScanPacket):
+            yield item
+
+
+def _finish(sequencer: Sequencer) -> Iterator[object]:
+    yield from sequencer.finish()  # asked only when the events have ended
 
 
 def _points(scan: Scan) -> np.ndarray:

@@ -79,8 +79,8 @@ def place(
     return MadeMap(np.concatenate(placed), np.concatenate(numbers))
 
 
-def compare(maps: list[MadeMap]) -> Sharpness:
-    """Thickness of the planes in each of `maps`, over the cells that count in all of them."""
+def compare(maps: list[MadeMap]) -> Sharpness | None:
+    """Thickness of the planes in each of `maps`, over the cells that count in all of them; None without any."""
     cells = [_cells(one) for one in maps]
     keys = cells[0].keys
     for other in cells[1:]:
@@ -93,8 +93,10 @@ def compare(maps: list[MadeMap]) -> Sharpness:
         spread = one.spread_m[row]
         plane |= (spread[:, 1] > MIN_SPREAD_M) & (spread[:, 0] < MAX_FLATNESS * spread[:, 1])
     counts = enough & plane
-    thickness = tuple(float(one.spread_m[row][counts, 0].mean()) for one, row in zip(cells, rows, strict=True))
-    return Sharpness(int(np.count_nonzero(counts)), thickness if counts.any() else (float("nan"),) * len(maps))
+    if not counts.any():
+        return None
+    thickness = (float(one.spread_m[row][counts, 0].mean()) for one, row in zip(cells, rows, strict=True))
+    return Sharpness(int(np.count_nonzero(counts)), tuple(thickness))
 
 
 def _cells(one: MadeMap) -> _Cells:
