@@ -14,12 +14,12 @@ SCAN_NS = 100_000_000
 
 def walk(stamps_ns: NDArray[np.int64]) -> Trajectory:
     """A walker's head at `stamps_ns`: 1.3 m/s round a bend, with bob, sway and a head turn."""
-    t = stamps_ns * 1e-9
+    t = np.asarray(stamps_ns * 1e-9, np.float64)
     heading = 0.15 * t + 0.6 * np.exp(-((t - 6.0) ** 2))
     positions = np.stack([8.0 * np.sin(0.15 * t), 8.0 - 8.0 * np.cos(0.15 * t), np.zeros_like(t)], axis=1)
     positions += np.stack([0 * t, 0.01 * np.sin(2 * np.pi * t), 0.02 * np.sin(4 * np.pi * t)], axis=1)
     quats = np.stack([0 * t, 0 * t, np.sin(heading / 2), np.cos(heading / 2)], axis=1)
-    return Trajectory(stamps_ns, positions, quats)
+    return Trajectory(stamps_ns, np.asarray(positions, np.float64), np.asarray(quats, np.float64))
 
 
 def scans(seconds: float = 12.0) -> NDArray[np.int64]:

@@ -84,3 +84,15 @@ def test_maps_that_share_no_plane_cannot_be_compared():
 def test_scans_without_a_pose_are_left_out(seen: Scans):
     half = made_map(seen, walk(STAMPS)[::2])
     assert set(half.scan.tolist()) == set(range(0, len(STAMPS), 2))
+
+
+def test_a_map_that_is_all_blur_cannot_choose_the_planes_it_is_judged_by(seen: Scans):
+    """Cells that are planes in the sharp map count for both, whichever comes first."""
+    shaking = walk(STAMPS)
+    jitter = np.random.default_rng(2).normal(scale=0.3, size=(len(STAMPS), 3))
+    sharp, blurred = (
+        made_map(seen, walk(STAMPS)),
+        made_map(seen, replace(shaking, positions_m=shaking.positions_m + jitter)),
+    )
+    assert thickness_m(sharp, blurred) == thickness_m(blurred, sharp)[::-1]
+    assert thickness_m(sharp, blurred)[1] > 0.08
