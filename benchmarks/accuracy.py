@@ -26,6 +26,7 @@ from splitslam.errors import InputError
 TABLES = ("odometry", "full", "deskew", "sharpness", "sweep")
 _DESKEW_ON = ("yard1", "campus", "street")
 _SWEEP_ON = ("campus", "street")
+_NOT_SWEPT = "wheel-slip"  # these drives have no wheel odometry
 _QUICK = Limits(seconds=12.0, max_scans=120)
 Plan = dict[Case, list[str]]
 
@@ -74,7 +75,8 @@ def _sweep_cases(names: list[str]) -> list[Case]:
     from splitslam.sim.faults import SWEEP
 
     made = [DRIVES[name] for name in names if DRIVES[name].recorded is None]
-    return [Case(drive, perturb) for drive in made for perturb in (CLEAN, *SWEEP)]
+    settings = [CLEAN, *(setting for setting in SWEEP if not setting.startswith(_NOT_SWEPT))]
+    return [Case(drive, perturb) for drive in made for perturb in settings]
 
 
 def _plan(wanted: list[str], chosen: list[str], cases: dict[Case, list[Case]], named: bool) -> Plan:
