@@ -16,7 +16,7 @@ from tests.tolerances import SE3_ROUND_TRIP_M
 
 def reply(covariance: np.ndarray | None = None, state: int = types.TRACKING_STATE_TRACKING) -> OdometryReply:
     covariance = np.eye(6) if covariance is None else covariance
-    return OdometryReply(1, 17, np.eye(4), np.eye(4), covariance, state, degenerate=False)
+    return OdometryReply(1, 17, np.eye(4), np.eye(4), covariance, state, np.zeros((0, 6)))
 
 
 def test_a_stamp_keeps_its_nanoseconds():
