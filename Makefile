@@ -9,9 +9,10 @@ BIN := .venv/bin
 LOCK := requirements/lock.txt
 STAMP := .venv/.set-up
 WIRE_TOOLS := .venv-proto/.set-up
+BENCH := .venv-bench/.set-up
 WORKERS ?= 2
 
-.PHONY: help setup demo test check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup demo test check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -25,6 +26,13 @@ $(STAMP): pyproject.toml $(LOCK)
 	@echo "setting up .venv with $$($(BIN)/python --version): a minute or two, once"
 	@$(BIN)/python -m pip install -qq --no-deps --requirement $(LOCK)
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@touch $@
+
+bench-setup: setup $(BENCH) ## .venv-bench with the systems that benchmarks/accuracy.py compares with
+
+$(BENCH): requirements/bench.txt
+	@test -x .venv-bench/bin/python || $(PYTHON) -m venv .venv-bench
+	@.venv-bench/bin/python -m pip install -qq --requirement requirements/bench.txt
 	@touch $@
 
 demo: setup ## a made drive through both programs: trajectory, map, report.html
@@ -66,5 +74,5 @@ lock: ## newest versions that pyproject.toml allows -> requirements/lock.txt
 	    --no-emit-index-url --no-emit-find-links --no-header --output-file $(LOCK)
 
 clean: ## all that is generated, environments included
-	rm -rf .venv .venv-proto .venv-lock .venv-compat build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-bench .venv-proto .venv-lock .venv-compat build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,4 +1,4 @@
-"""The agent's files: online.tum, odom.tum, imu.tum and edge.json. They appear complete or not at all."""
+"""The agent's files: online.tum, online_covariance.csv, odom.tum, imu.tum, edge.json: complete or not at all."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent.types import OdomPoses
+from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
 from splitslam.errors import InputError
+from splitslam.wire import types_pb2 as types
+
+_UPPER = np.triu_indices(6)
+_STATE = "TRACKING_STATE_"
 
 Array = NDArray[np.float64]
 
@@ -29,7 +33,7 @@ def tum_line(stamp_ns: int, position_m: Array, quat_xyzw: Array) -> str:
 class Outputs:
     """Streams to temporary names in `folder`; `publish` renames them, `discard` leaves nothing behind."""
 
-    _NAMES = ("online.tum", "odom.tum", "imu.tum")
+    _NAMES = ("online.tum", "online_covariance.csv", "odom.tum", "imu.tum")
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -39,15 +43,17 @@ class Outputs:
             folder.mkdir(parents=True, exist_ok=True)
             for name in self._NAMES:
                 self._files[name] = _temporary(folder, name).open("w", encoding="ascii")
+            self._files["online_covariance.csv"].write(covariance_header())
         except OSError as error:
             self.discard()
             raise InputError(
                 f"output.dir {folder}: expected a directory that can be written ({error.strerror})"
             ) from None
 
-    def online(self, stamp_ns: int, T_map_lidar: Array) -> None:
-        """The answer to a scan as it came."""
-        self._pose("online.tum", stamp_ns, T_map_lidar)
+    def online(self, reply: OdometryReply) -> None:
+        """The answer to a scan as it came, and what it says of its own doubt."""
+        self._pose("online.tum", reply.stamp_ns, reply.T_map_lidar)
+        self._files["online_covariance.csv"].write(covariance_line(reply))
 
     def odom(self, stamp_ns: int, T_odom_lidar: Array) -> None:
         """The edge's own pose of a scan."""
@@ -83,6 +89,20 @@ class Outputs:
                 _temporary(self._folder, name).unlink(missing_ok=True)
             for path in self._made:
                 path.rmdir()
+
+
+def covariance_header() -> str:
+    """Names of the columns of online_covariance.csv."""
+    axes = ("rx", "ry", "rz", "tx", "ty", "tz")
+    return ",".join(["stamp_ns", "state", *(f"{axes[i]}_{axes[j]}" for i, j in zip(*_UPPER, strict=True))]) + "\n"
+
+
+def covariance_line(reply: OdometryReply) -> str:
+    """One row: stamp, state by name, upper triangle of the covariance of T_map_lidar row by row (rad and m)."""
+    known = types.TrackingState.DESCRIPTOR.values_by_number.get(reply.state)
+    state = str(reply.state) if known is None else known.name.removeprefix(_STATE).lower()
+    numbers = ",".join(f"{value:.6e}" for value in reply.covariance[_UPPER])
+    return f"{reply.stamp_ns},{state},{numbers}\n"
 
 
 def rotate_quats(left_xyzw: Array, quats_xyzw: Array) -> Array:

@@ -83,7 +83,7 @@ class AgentSink:
         self.tally.answer(answer)
         reply = answer.reply
         if self.outputs is not None and not reply.rejected:
-            self.outputs.online(reply.stamp_ns, reply.T_map_lidar)
+            self.outputs.online(reply)
         self.progress.scan(self.read, self.tally.mapped)
 
     def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None:

@@ -20,7 +20,7 @@ from splitslam.run.service import embedded_service
 from splitslam.run.staging import Staging, staging
 from splitslam.tum import Trajectory, read_tum, write_tum
 
-_FROM_AGENT = ("online.tum", "odom.tum", "imu.tum")
+_FROM_AGENT = ("online.tum", "online_covariance.csv", "odom.tum", "imu.tum")
 PROGRAMS = Programs()
 
 

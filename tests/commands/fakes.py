@@ -109,6 +109,7 @@ def _edge(mode: str, config: dict) -> int:
     folder.mkdir()
     for name, offset_m in (("online.tum", 0.01), ("odom.tum", 0.0), ("imu.tum", 0.0)):
         (folder / name).write_text(tum_lines(offset_m))
+    (folder / "online_covariance.csv").write_text("stamp_ns,state\n")
     (folder / "edge.json").write_text(json.dumps(edge_json()))
     if seen := os.environ.get("FAKE_CONFIG"):
         ours = [name for name in os.environ if name.startswith("SPLITSLAM_")]

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 from edge_agent.outputs import Outputs, rotate_quats, tum_line
-from edge_agent.types import OdomPoses
+from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
 from splitslam.errors import InputError
+from splitslam.wire import types_pb2 as types
 from tests.tolerances import SE3_ROUND_TRIP_M
+
+
+def reply(covariance: np.ndarray | None = None, state: int = types.TRACKING_STATE_TRACKING) -> OdometryReply:
+    covariance = np.eye(6) if covariance is None else covariance
+    return OdometryReply(1, 17, np.eye(4), np.eye(4), covariance, state, np.zeros((0, 6)))
 
 
 def test_a_stamp_keeps_its_nanoseconds():
@@ -21,19 +27,19 @@ def test_a_stamp_keeps_its_nanoseconds():
 
 def test_nothing_is_there_before_publish_and_everything_after(tmp_path: Path):
     outputs = Outputs(tmp_path / "a" / "out")
-    outputs.online(1, np.eye(4))
+    outputs.online(reply())
     assert [p for p in (tmp_path / "a" / "out").iterdir() if not p.name.startswith(".")] == []
     outputs.publish({"scans": {"read": 1}})
     names = sorted(p.name for p in (tmp_path / "a" / "out").iterdir())
-    assert names == ["edge.json", "imu.tum", "odom.tum", "online.tum"]
+    assert names == ["edge.json", "imu.tum", "odom.tum", "online.tum", "online_covariance.csv"]
     assert json.loads((tmp_path / "a" / "out" / "edge.json").read_text()) == {"scans": {"read": 1}}
     outputs.discard()
-    assert len(list((tmp_path / "a" / "out").iterdir())) == 4
+    assert len(list((tmp_path / "a" / "out").iterdir())) == 5
 
 
 def test_discard_leaves_no_file_and_no_folder_that_was_not_there(tmp_path: Path):
     outputs = Outputs(tmp_path / "a" / "out")
-    outputs.online(1, np.eye(4))
+    outputs.online(reply())
     outputs.discard()
     assert list(tmp_path.iterdir()) == []
 
@@ -69,3 +75,19 @@ def test_quaternion_rows_multiply_as_rotations_do():
     A, B = se3.so3_exp(rng.normal(size=3)), se3.so3_exp(rng.normal(size=3))
     product = rotate_quats(se3.quat_from_matrix(A), se3.quat_from_matrix(B)[None])[0]
     np.testing.assert_allclose(se3.matrix_from_quat(product), A @ B, atol=SE3_ROUND_TRIP_M)
+
+
+def test_the_covariance_of_an_answer_can_be_read_back(tmp_path: Path):
+    half = np.random.default_rng(3).normal(size=(6, 6))
+    covariance = half @ half.T
+    outputs = Outputs(tmp_path)
+    outputs.online(reply(covariance, types.TRACKING_STATE_DEGENERATE))
+    outputs.publish({})
+    header, row = (tmp_path / "online_covariance.csv").read_text().splitlines()
+    names, fields = header.split(","), row.split(",")
+    assert fields[:2] == ["17", "degenerate"]
+    assert len(names) == len(fields) == 23
+    axes = ["rx", "ry", "rz", "tx", "ty", "tz"]
+    for name, value in zip(names[2:], fields[2:], strict=True):
+        i, j = (axes.index(axis) for axis in name.split("_"))
+        assert float(value) == pytest.approx(covariance[i, j], rel=1e-6)

@@ -1,0 +1,1 @@
+"""What is measured and compared; nothing of it is installed."""
