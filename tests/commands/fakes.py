@@ -71,7 +71,7 @@ def statistics_json() -> dict:
     times = {"mean": 4.0, "std": 1.0, "p50": 3.0, "p99": 9.0, "max": 11.0}
     stages = dict.fromkeys(("registration", "graph", "total"), times)
     return {
-        "gnss_rejected": {},
+        "gnss_rejected": {"spacing": 3},
         "gravity_factors": 0,
         "map_ms": stages,
         "map_wall_ms": stages,
