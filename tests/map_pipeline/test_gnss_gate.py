@@ -23,21 +23,26 @@ def fix_at(position_m: np.ndarray, t_s: float, sigma_m: float = 0.5, status: int
     return GnssFix(round(t_s * 1e9), latitude, longitude, altitude, np.eye(3) * sigma_m**2, status)
 
 
-def way(t_s: float) -> np.ndarray:
-    """Round a yard at 1.5 m/s."""
-    return 20.0 * np.array([np.cos(t_s * 0.075), np.sin(t_s * 0.075), 0.0])
+def way(t_s: float, speed_mps: float = 1.5) -> np.ndarray:
+    """Round a yard of 20 m (walking) or a block of 40 m."""
+    radius_m = 20.0 if speed_mps < 5.0 else 40.0
+    turned = t_s * speed_mps / radius_m
+    return radius_m * np.array([np.cos(turned), np.sin(turned), 0.0])
 
 
 def place_at(position_m: np.ndarray) -> Place:
     return Place(0, np.zeros(3), position_m, np.eye(4))
 
 
-def drive(gate: GnssGate, until_s: float, fault=lambda t_s: np.zeros(3), since_s: float = 0.0, sigma_m=0.5) -> list:
+def drive(
+    gate: GnssGate, until_s: float, fault=lambda t_s: np.zeros(3), since_s=0.0, sigma_m=0.5, speed_mps=1.5
+) -> list:
     """One fix each 0.2 s, noise-free; returns (t_s, measurement) of what was used."""
     used = []
     for k in range(round(since_s * 5), round(until_s * 5)):
         t = k / 5 + 0.05
-        offered = gate.offer(fix_at(way(t) + R_ENU_MAP.T @ fault(t), t, sigma_m), place_at(way(t)))
+        position = way(t, speed_mps)
+        offered = gate.offer(fix_at(position + R_ENU_MAP.T @ fault(t), t, sigma_m), place_at(position))
         used += [(m.fix.stamp_ns * 1e-9, m) for m in offered]
     return used
 
@@ -121,12 +126,24 @@ def test_a_wrong_start_does_not_shut_the_gate(sigma_m):
     assert all(m.datum == 1 for t, m in used if t > 40.0)
 
 
-def test_a_jump_as_long_as_the_way_is_not_taken_for_a_turn():
+@pytest.mark.parametrize("begins_s", [0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("aside_rad", np.arange(0.0, 6.2, 0.4))
+def test_a_jump_as_long_as_the_way_is_not_taken_for_a_turn(begins_s, aside_rad):
     gate = GnssGate(GnssSettings())
-    used = drive(gate, 60.0, lambda t: JUMP * (1.5 < t < 7.5))
+    jump = 15.0 * np.array([np.cos(aside_rad), np.sin(aside_rad), 0.0])
+    used = drive(gate, 4.0, lambda t: jump * (t > begins_s), speed_mps=10.0)
     assert used
     for _, m in used:
         assert np.arctan2(m.T_enu_map[1, 0], m.T_enu_map[0, 0]) == pytest.approx(YAW, abs=0.2)
+
+
+def test_a_fast_ramp_is_noticed_at_once_by_the_nearest_fixes():
+    gate = GnssGate(GnssSettings())
+    ramp = np.array([0.4, -0.3, 0.0])
+    used = drive(gate, 50.0, lambda t: ramp * (t - 30.0) * (30.0 < t < 36.0), sigma_m=0.02, speed_mps=10.0)
+    off_m = [0.5 * (t - 30.0) for t, _ in used if 30.0 < t < 36.0]
+    assert max(off_m, default=0.0) < 0.5
+    assert max(t for t, _ in used) > 48.0
 
 
 @pytest.mark.parametrize("sigma_m", [0.5, 0.02])
