@@ -10,79 +10,159 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service.keyframes import Keyframes
-from map_service.loops import LoopJob, LoopResult, LoopVerifier, candidate
+from map_service.loop_gate import Admitted, Chain, LoopGate
+from map_service.loops import LoopJob, LoopResult, LoopVerifier, near_candidate
+from map_service.places import PlaceIndex
 from map_service.settings import LoopSettings
 from splitslam import se3
 
 Array = NDArray[np.float64]
+NEAR, LOOKS = "near", "looks"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Request:
+    due_seq: int
+    older: int
+    newer: int
+    by_looks: bool
+    T_older_newer: Array
 
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
-    due_seq: int
-    older: int
-    newer: int
+    request: _Request
     future: Future[LoopResult]
 
 
 class LoopCloser:
-    """Looks for a candidate at each keyframe; `due` waits for what must be applied now, so that runs repeat exactly."""
+    """Looks for candidates at each keyframe; `due` waits for what must be applied now, so that runs repeat exactly.
+
+    A candidate is near by what the graph knows, or it looks alike and may be anywhere.
+    """
 
     def __init__(self, settings: LoopSettings, verifier: LoopVerifier) -> None:
         self.settings, self.verifier = settings, verifier
+        self.places = PlaceIndex(settings.places)
+        self.gate = LoopGate(settings.gate)
+        self.tried = {NEAR: 0, LOOKS: 0}
         self.last_used = -1
-        self.rejected: dict[str, int] = {}
+        self._looked_m = 0.0  # way to the place that was compared last
+        self._patience_m = settings.spacing_m
         self._pending: deque[_Pending] = deque()
 
-    def look(self, seq: int, keyframes: Keyframes, poses: list[Array]) -> None:
-        """Submits the newest keyframe's candidate, if it has one; `seq` is its frame."""
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Candidates that became no factor, by reason."""
+        return self.gate.refused
+
+    def look(self, seq: int, keyframes: Keyframes, poses: list[Array], loops: list[tuple[int, int]]) -> None:
+        """Submits the newest keyframe's candidates, if it has any; `seq` is its frame, `loops` are in the graph."""
         s = self.settings
         newest = len(keyframes) - 1
         positions = np.array([T[:3, 3] for T in poses])
-        older = candidate(positions, keyframes.stamps_ns(), newest, self.last_used, s)
-        if older is None:
-            return
-        self.last_used = newest
-        self._submit(seq + s.apply_after_frames, older, newest, keyframes, poses)
+        older = near_candidate(positions, keyframes.stamps_ns(), newest, self.last_used, s)
+        if older is not None:
+            self.last_used = newest
+            guess = se3.inv(poses[older]) @ poses[newest]
+            self._submit(_Request(seq + s.apply_after_frames, older, newest, False, guess), keyframes, poses)
+        place = self._describe(keyframes, poses)
+        if place is not None:
+            self._look_alike(seq, place, keyframes, Chain(poses, keyframes.way_m(), loops))
 
-    def _submit(self, due_seq: int, older: int, newer: int, keyframes: Keyframes, poses: list[Array]) -> None:
-        s = self.settings
+    def _describe(self, keyframes: Keyframes, poses: list[Array]) -> int | None:
+        """Describes the newest keyframe that has enough others on either side; None: there is no new one."""
+        s = self.settings.places
+        place = len(self.places)
+        if place + s.keyframes >= len(keyframes):
+            return None
+        points = keyframes.submap(place, place - s.keyframes, place + s.keyframes, poses, s.points)
+        self._surroundings = (points @ se3.level_rotation(_up(poses[place])).T).astype(np.float32)
+        self.places.add(self._surroundings)
+        return place
+
+    def _look_alike(self, seq: int, place: int, keyframes: Keyframes, chain: Chain) -> None:
+        s, stamps = self.settings, keyframes.stamps_ns()
+        old = int(np.searchsorted(stamps, stamps[place] - round(s.min_age_s * 1e9)))
+        match = self.places.search(self._surroundings, old)
+        if match is None or match.likeness < s.likeness:
+            return
+        wait_m = min(self._patience_m, s.strong_patience_m if match.likeness > s.strong_likeness else s.patience_m)
+        if chain.way_m[place] < self._looked_m + wait_m or chain.tied_m(match.older, place) < s.known_way_m:
+            return
+        if any((p.request.older, p.request.newer) == (match.older, place) for p in self._pending):
+            return
+        self._looked_m = float(chain.way_m[place])
+        older, newer = (se3.compose(se3.level_rotation(_up(chain.poses[k])), np.zeros(3)) for k in (match.older, place))
+        guess = se3.inv(older) @ match.T_older_newer @ newer
+        self._submit(_Request(seq + s.apply_after_frames, match.older, place, True, guess), keyframes, chain.poses)
+
+    def _submit(self, request: _Request, keyframes: Keyframes, poses: list[Array]) -> None:
+        s, r = self.settings, request
+        self.tried[LOOKS if r.by_looks else NEAR] += 1
         job = LoopJob(
-            older,
-            newer,
-            keyframes.submap(older, older - s.target_keyframes, older + s.target_keyframes, poses),
-            keyframes.submap(newer, newer - s.source_keyframes, newer, poses),
-            se3.inv(poses[older]) @ poses[newer],
+            r.older,
+            r.newer,
+            keyframes.submap(r.older, r.older - s.target_keyframes, r.older + s.target_keyframes, poses),
+            keyframes.submap(r.newer, r.newer - s.source_keyframes, r.newer + s.source_keyframes, poses),
+            r.T_older_newer,
+            _up(poses[r.older]),
+            _up(poses[r.newer]),
+            r.by_looks,
             s,
         )
-        self._pending.append(_Pending(due_seq, older, newer, self.verifier.submit(job)))
+        self._pending.append(_Pending(r, self.verifier.submit(job)))
 
-    def due(self, seq: int, everything: bool = False) -> list[LoopResult]:
-        """Accepted results whose frame has come; rejected ones are counted by reason."""
-        accepted = []
-        while self._pending and (everything or self._pending[0].due_seq <= seq):
+    def has_due(self, seq: int, everything: bool = False) -> bool:
+        """Is there anything that `due` has to look at?"""
+        return everything or bool(self._pending and self._pending[0].request.due_seq <= seq)
+
+    def due(self, seq: int, chain: Chain, everything: bool = False) -> list[Admitted]:
+        """Loops that enter the graph with frame `seq`; with `everything`, the end of the drive, all that ever will."""
+        admitted: list[Admitted] = []
+        while self._pending and self.has_due(seq, everything):
+            pending = self._pending.popleft()
             try:
-                result = self._pending.popleft().future.result()
+                result = pending.future.result()
             except (BrokenExecutor, CancelledError):  # the pool died: a loop is lost, the session is not
-                self.reject("verifier_died")
+                self.gate.refuse("verifier_died")
                 continue
-            if result.accepted:
-                accepted.append(result)
-            else:
-                self.reject(result.reason)
-        return accepted
+            if pending.request.by_looks:
+                longer_m = min(2 * self._patience_m, self.settings.patience_m)
+                self._patience_m = self.settings.spacing_m if result.accepted else longer_m
+            admitted += self.gate.take(result, chain)
+        if everything:
+            self.gate.close()
+        return admitted
 
     def dump(self) -> dict:
         """All that must survive a restart (JSON); verifications under way are to be asked for again."""
-        pending = [[p.due_seq, p.older, p.newer] for p in self._pending]
-        return {"last_used": self.last_used, "rejected": self.rejected, "pending": pending}
+        pending = [p.request for p in self._pending]
+        return {
+            "last_used": self.last_used,
+            "looked_m": self._looked_m,
+            "patience_m": self._patience_m,
+            "tried": self.tried,
+            "places": len(self.places),
+            "gate": self.gate.dump(),
+            "pending": [[r.due_seq, r.older, r.newer, r.by_looks, r.T_older_newer.tolist()] for r in pending],
+        }
 
     def load(self, data: dict, keyframes: Keyframes, poses: list[Array]) -> None:
-        """The reverse of dump, once keyframes and poses are there."""
-        self.last_used, self.rejected = int(data["last_used"]), dict(data["rejected"])
-        for due_seq, older, newer in data["pending"]:
-            self._submit(due_seq, older, newer, keyframes, poses)
+        """The reverse of dump, once keyframes and poses are there; a state of the first release has fewer keys."""
+        self.last_used = int(data["last_used"])
+        self._looked_m = float(data.get("looked_m", self._looked_m))
+        self._patience_m = float(data.get("patience_m", self._patience_m))
+        self.gate.load(data.get("gate", {"refused": data.get("rejected", {}), "waiting": [], "last_doubt": -1}))
+        for _ in range(int(data.get("places", max(len(keyframes) - self.settings.places.keyframes, 0)))):
+            self._describe(keyframes, poses)
+        for due_seq, older, newer, *known in data["pending"]:
+            by_looks, guess = (bool(known[0]), np.array(known[1])) if known else (False, None)
+            T = se3.inv(poses[older]) @ poses[newer] if guess is None else guess
+            self._submit(_Request(due_seq, older, newer, by_looks, T), keyframes, poses)
+        self.tried = dict(data.get("tried", self.tried))
 
-    def reject(self, reason: str) -> None:
-        """Counts a candidate that becomes no factor."""
-        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+
+def _up(T_map_lidar: Array) -> Array:
+    """Against gravity, in the frame of the keyframe, (3,)."""
+    return T_map_lidar[2, :3]

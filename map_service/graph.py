@@ -7,7 +7,7 @@ encoding, so that the store can hold it and a restart can build the graph again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import gtsam
 import numpy as np
@@ -69,15 +69,15 @@ class PoseGraph:
         self._record("odometry", {"to": len(self.poses), **payload}, T_map_lidar)
 
     def add_loop(
-        self, older: int, newer: int, T_older_newer: Array, sigmas: Sequence[float], robust_sigmas: float = 1.0
+        self, older: int, newer: int, T_older_newer: Array, covariance: Array, robust_sigmas: float = 1.0
     ) -> None:
-        """A verified revisit; sigmas: rotation rad, translation m.
+        """A verified revisit; covariance (6, 6), right tangent, rotation first.
 
         robust_sigmas: scale of the Cauchy kernel. It must cover what the drive may have drifted, or a true loop that
         closes a large gap is outvoted by the odometry it is to correct.
         """
-        payload = {"motion": _flat(T_older_newer), "sigmas": [float(s) for s in sigmas], "robust": float(robust_sigmas)}
-        self._record("loop", {"older": older, "newer": newer, **payload})
+        payload = {"motion": _flat(T_older_newer), "covariance": covariance.reshape(-1).tolist()}
+        self._record("loop", {"older": older, "newer": newer, **payload, "robust": float(robust_sigmas)})
 
     def add_gnss(self, measurement: GnssMeasurement) -> None:
         """An antenna position, with the guess of T_enu_map in case it is the first of its datum."""
@@ -125,7 +125,9 @@ class PoseGraph:
             self._graph.add(gtsam.BetweenFactorPose3(X(p["to"] - 1), X(p["to"]), motion, noise))
         elif record.kind == "loop":
             self.loops.append((p["older"], p["newer"]))
-            noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat(p["sigmas"], 3))
+            # loops of the first release had two sigmas: rotation rad, translation m
+            covariance = p.get("covariance") or np.diag(np.repeat(np.square(p.get("sigmas", [1.0, 1.0])), 3))
+            noise = gtsam.noiseModel.Gaussian.Covariance(np.reshape(covariance, (6, 6)))
             motion = gtsam.Pose3(_square(p["motion"]))
             self._graph.add(gtsam.BetweenFactorPose3(X(p["older"]), X(p["newer"]), motion, _cauchy(noise, p["robust"])))
         elif record.kind == "gnss":

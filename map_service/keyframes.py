@@ -31,12 +31,18 @@ class Keyframe:
         """Both classes, (N, 3)."""
         return np.concatenate([self.corners_lidar, self.surfs_lidar])
 
+    @property
+    def count(self) -> int:
+        """Points of both classes."""
+        return len(self.corners_lidar) + len(self.surfs_lidar)
+
 
 class Keyframes:
     """An append-only list of keyframes."""
 
     def __init__(self) -> None:
         self._items: list[Keyframe] = []
+        self._way_m: list[float] = []
 
     def __len__(self) -> int:
         return len(self._items)
@@ -61,6 +67,8 @@ class Keyframes:
 
     def append(self, keyframe: Keyframe) -> None:
         """Appends a restored keyframe."""
+        step_m = np.linalg.norm(keyframe.T_local_lidar[:3, 3] - self._items[-1].T_local_lidar[:3, 3]) if self else 0.0
+        self._way_m.append(float(step_m) + (self._way_m[-1] if self else 0.0))
         self._items.append(keyframe)
 
     def replace_first(self, corners_lidar: NDArray[np.float32], surfs_lidar: NDArray[np.float32]) -> None:
@@ -80,20 +88,28 @@ class Keyframes:
         positions = np.array([k.T_local_lidar[:3, 3] for k in self._items])
         return [int(i) for i in np.flatnonzero(np.linalg.norm(positions - centre_m, axis=1) < radius_m)]
 
-    def path_m(self, first: int, last: int) -> float:
-        """Length of the way from one keyframe to another, m."""
-        positions = np.array([k.T_local_lidar[:3, 3] for k in self._items[first : last + 1]])
-        return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    def way_m(self) -> Array:
+        """(n,) length of the way from the first keyframe to each as it was driven, m."""
+        return np.array(self._way_m)
 
     def stamps_ns(self) -> NDArray[np.int64]:
         """(n,) reference times."""
         return np.array([k.stamp_ns for k in self._items], np.int64)
 
-    def submap(self, centre: int, first: int, last: int, poses: list[Array]) -> NDArray[np.float32]:
-        """Points (N, 3) of keyframes first..last, inclusive and clipped, in the frame of keyframe `centre`."""
+    def submap(
+        self, centre: int, first: int, last: int, poses: list[Array], at_most: int | None = None
+    ) -> NDArray[np.float32]:
+        """Points (N, 3) of keyframes first..last, inclusive and clipped, in the frame of keyframe `centre`.
+
+        at_most: evenly thinned to about as many points, fewer than twice as many.
+        """
         back = np.linalg.inv(poses[centre])
+        chosen = range(max(first, 0), min(last, len(self) - 1) + 1)
+        total = sum(self._items[i].count for i in chosen)
+        every = 1 if at_most is None else max(1, total // at_most)
         parts = []
-        for i in range(max(first, 0), min(last, len(self) - 1) + 1):
+        for i in chosen:
             T = back @ poses[i]
-            parts.append((self._items[i].points_lidar @ T[:3, :3].T + T[:3, 3]).astype(np.float32))
+            for points in (self._items[i].corners_lidar, self._items[i].surfs_lidar):
+                parts.append((points[::every] @ T[:3, :3].T + T[:3, 3]).astype(np.float32))
         return np.concatenate(parts)

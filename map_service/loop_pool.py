@@ -9,7 +9,7 @@ import os
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
-from map_service.loops import LoopJob, LoopResult, verify
+from map_service.loops import LoopJob, LoopResult, refused, verify
 from map_service.processes import cpu_ns, follow_parent
 
 _log = logging.getLogger(__name__)
@@ -66,4 +66,4 @@ def _result(job: LoopJob, done: Future[LoopResult]) -> LoopResult:
     if not done.cancelled() and done.exception() is None:
         return done.result()
     _log.error("loop verification failed", extra={"fields": {"older": job.older, "newer": job.newer}})
-    return LoopResult(job.older, job.newer, job.T_older_newer, False, "failed", 0.0, float("inf"))
+    return refused(job, "failed")

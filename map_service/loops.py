@@ -1,4 +1,4 @@
-"""Loop closures: candidates by radius and time, verification as a stateless job for a process pool."""
+"""Loop closures: candidates, and their verification as a stateless job for a process pool."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
 
+from map_service.loop_fit import CloudPair, Fit, Rival
+from map_service.loop_search import search
 from map_service.settings import LoopSettings
 
 Array = NDArray[np.float64]
@@ -17,27 +18,44 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopJob:
-    """Two clouds (N, 3) float32 in the frames of their keyframes, and T_older_newer (4, 4) as the graph sees it."""
+    """Two clouds (N, 3) float32 in the frames of their keyframes, and a guess of T_older_newer (4, 4).
+
+    up_older, up_newer: (3,) against gravity. by_looks: the places look alike; the guess knows the heading at best.
+    """
 
     older: int
     newer: int
     target_older: NDArray[np.float32]
     source_newer: NDArray[np.float32]
     T_older_newer: Array
+    up_older: Array
+    up_newer: Array
+    by_looks: bool
     settings: LoopSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopResult:
-    """How the verification went; `reason` is empty when the loop is accepted."""
+    """How the verification went; `reason` is empty when the clouds fit.
+
+    covariance: (6, 6) of T_older_newer, right tangent, rotation first; large along what the fit does not observe.
+    distinct: every direction is observed and nothing else nearby fits as well.
+    """
 
     older: int
     newer: int
     T_older_newer: Array
-    accepted: bool
+    covariance: Array
+    by_looks: bool
     reason: str
     inlier_share: float
     rms_m: float
+    distinct: bool
+
+    @property
+    def accepted(self) -> bool:
+        """Do the clouds fit? Whether the loop may enter the graph is the gate's to say."""
+        return not self.reason
 
 
 class LoopVerifier(Protocol):
@@ -48,42 +66,70 @@ class LoopVerifier(Protocol):
         ...
 
 
+def refused(job: LoopJob, reason: str) -> LoopResult:
+    """The result of a job that found nothing."""
+    return LoopResult(
+        job.older, job.newer, job.T_older_newer, np.eye(6), job.by_looks, reason, 0.0, float("inf"), False
+    )
+
+
 def verify(job: LoopJob) -> LoopResult:
-    """GICP from the graph's guess, coarse then fine; accepted when nearly all of the newer cloud lies on the older."""
+    """GICP from the graph's guess, or from what a search without a guess finds; then the fit is judged."""
+    s, T = job.settings, job.T_older_newer
+    if job.by_looks:
+        found = search(job.target_older, job.source_newer, job.up_older, job.up_newer, _search_voxel_m(job))
+        T = job.T_older_newer if found is None else found
+    pair = CloudPair(job.target_older, job.source_newer, s.fit)
+    if pair.empty or (job.by_looks and pair.near_share(T, s.search_inlier_m) < s.search_inlier_share):
+        return refused(job, "no_match")
+    fit = pair.fit(*pair.align(T))
+    reason, distinct = _reason(job, fit), False
+    if not reason:
+        rival = pair.rival(fit, job.up_older, turned=job.by_looks)
+        if rival.share * s.rival_share > 1.0:  # the search had taken the wrong one
+            fit, rival = pair.fit(rival.T_target_source, True), Rival(1.0 / rival.share, fit.T_target_source)
+            reason = _reason(job, fit)
+        distinct = fit.observed and rival.share < s.rival_share
+        # what the fit does not observe is left open by its covariance; a wrong one of several fits is not
+        reason = reason or ("" if distinct or not fit.observed else "ambiguous")
+    sigmas = np.repeat([s.rotation_sigma_rad**2, s.translation_sigma_m**2], 3)
+    return LoopResult(
+        job.older,
+        job.newer,
+        fit.T_target_source,
+        fit.covariance + np.diag(sigmas),
+        job.by_looks,
+        reason,
+        fit.forward,
+        fit.rms_m,
+        distinct,
+    )
+
+
+def _search_voxel_m(job: LoopJob) -> float:
+    """Finer in rooms than in the open: a share of the median distance that the newer keyframe looks."""
     s = job.settings
-    T = job.T_older_newer
-    target, source = job.target_older.astype(np.float64), job.source_newer.astype(np.float64)
-    result = None
-    for distance_m, voxel_m in ((s.coarse_distance_m, 0.5), (s.fine_distance_m, 0.25)):
-        result = small_gicp.align(
-            target,
-            source,
-            T,
-            registration_type="GICP",
-            downsampling_resolution=voxel_m,
-            max_correspondence_distance=distance_m,
-            max_iterations=40,
-        )
-        T = result.T_target_source
-    assert result is not None
-    tree = small_gicp.KdTree(target)
-    moved = source @ T[:3, :3].T + T[:3, 3]
-    _, squares = tree.batch_nearest_neighbor_search(moved)
-    squares = np.asarray(squares).reshape(-1)
-    near = squares < s.inlier_m**2
-    share, rms = float(near.mean()), float(np.sqrt(squares[near].mean())) if near.any() else float("inf")
-    shift = float(np.linalg.norm(T[:3, 3] - job.T_older_newer[:3, 3]))
-    reason = ""
-    if not result.converged:
-        reason = "not_converged"
-    elif share < s.min_inlier_share:
-        reason = "few_inliers"
-    elif shift > s.max_shift_m:
-        reason = "too_far"
-    return LoopResult(job.older, job.newer, T, not reason, reason, share, rms)
+    if not len(job.source_newer):
+        return s.search_voxel_max_m
+    median_m = float(np.median(np.linalg.norm(job.source_newer, axis=1)))
+    return float(np.clip(s.search_voxel_share * median_m, s.search_voxel_min_m, s.search_voxel_max_m))
 
 
-def candidate(
+def _reason(job: LoopJob, fit: Fit) -> str:
+    s = job.settings
+    T = fit.T_target_source
+    if not fit.converged:
+        return "not_converged"
+    if fit.forward < s.min_inlier_share:
+        return "few_inliers"
+    if fit.backward < s.min_backward_share:
+        return "one_sided"
+    if np.linalg.norm(np.cross(job.up_older, T[:3, :3] @ job.up_newer)) > s.max_tilt_rad:
+        return "tipped"
+    return ""
+
+
+def near_candidate(
     positions_m: Array, stamps_ns: NDArray[np.int64], newest: int, last_used: int, settings: LoopSettings
 ) -> int | None:
     """The nearest keyframe to `newest` inside the radius and older than the time gap; None: no candidate.

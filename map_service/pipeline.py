@@ -20,6 +20,7 @@ from map_service.gnss import GnssGate, Place
 from map_service.graph import PoseGraph
 from map_service.keyframes import Keyframes
 from map_service.levelling import Leveller
+from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import PipelineStatistics
 from map_service.settings import PipelineSettings
@@ -102,7 +103,7 @@ class MapPipeline:
         self.graph.optimise(corrected=False)
         self.log.keyframe(self.keyframes[index], T_map_lidar)
         if self.closer is not None:
-            self.closer.look(frame.seq, self.keyframes, self.graph.poses)
+            self.closer.look(frame.seq, self.keyframes, self.graph.poses, self.graph.loops)
         if (
             np.linalg.norm(track.T_local_lidar[:3, 3] - self.built_at_m)
             > self.settings.tracker.local_map.rebuild_distance_m
@@ -162,23 +163,15 @@ class MapPipeline:
         return Cause.GNSS if added else None
 
     def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
-        if self.closer is None:
+        if self.closer is None or not self.closer.has_due(seq, everything):
             return None
-        s, added = self.settings.loops, False
-        for result in self.closer.due(seq, everything):
-            innovation = (
-                se3.inv(result.T_older_newer) @ se3.inv(self.graph.poses[result.older]) @ self.graph.poses[result.newer]
-            )
-            drift_m = s.drift_floor_m + s.drift_share * self.keyframes.path_m(result.older, result.newer)
-            if np.linalg.norm(innovation[:3, 3]) > 3 * drift_m:
-                self.closer.reject("implausible")
-                continue
-            sigmas = (s.rotation_sigma_rad, s.translation_sigma_m)
-            scale = max(1.0, drift_m / s.translation_sigma_m)
-            self.graph.add_loop(result.older, result.newer, result.T_older_newer, sigmas, scale)
+        chain = Chain(self.graph.poses, self.keyframes.way_m(), self.graph.loops)
+        admitted = self.closer.due(seq, chain, everything)
+        for a in admitted:
+            scale = max(1.0, a.correction_m / self.settings.loops.translation_sigma_m)
+            self.graph.add_loop(a.loop.older, a.loop.newer, a.loop.T_older_newer, a.loop.covariance, scale)
             self.stats.loops += 1
-            added = True
-        return Cause.LOOP if added else None
+        return Cause.LOOP if admitted else None
 
     def _correct(self, cause: Cause) -> CorrectionRecord | None:
         """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
@@ -268,6 +261,8 @@ class MapPipeline:
         rejected = {} if self.gnss is None else dict(self.gnss.rejected)
         loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
         report = self.stats.report(len(self.frames), len(self.keyframes), rejected, loops_rejected)
+        if self.closer is not None:
+            report["loops_tried"], report["loops_waiting"] = dict(self.closer.tried), len(self.closer.gate.waiting)
         return {**report, "loop_keyframes": [list(pair) for pair in self.graph.loops]}
 
     # --- persistence ------------------------------------------------------------------------------------------

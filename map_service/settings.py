@@ -125,24 +125,92 @@ class GnssSettings(Model):
     robust_sigmas: float = 3.0
 
 
-class LoopSettings(Model):
-    """Loop closures."""
+class PlaceSettings(Model):
+    """The place descriptor and its look-up."""
 
-    radius_m: float = 10.0
-    min_age_s: float = 30.0
-    spacing_m: float = 3.0
-    apply_after_frames: int = 10
-    target_keyframes: int = 10
-    source_keyframes: int = 1
+    rings: int = 20
+    sectors: int = 60
+    reach_m: float = 40.0
+    floor_m: float = Field(default=-2.0, description="heights count from here, relative to the sensor")
+    ceiling_m: float = 8.0
+    key_frequencies: int = 5
+    shortlist: int = 16
+    lane_m: float = Field(default=2.0, description="a place is also looked for from this far beside the way")
+    keyframes: int = Field(default=3, description="a place is a keyframe and this many on either side")
+    points: int = 6000
+
+
+class LoopFitSettings(Model):
+    """How a loop candidate's clouds are laid on each other, and what counts as lying there."""
+
+    voxel_m: float = 0.25
+    neighbours: int = 12
+    min_points: int = 100
     coarse_distance_m: float = 3.0
     fine_distance_m: float = 0.75
     inlier_m: float = 0.3
+    sight_m: float = 8.0
+    sigma_m: float = 0.02
+    correlation: float = 8.0
+    weak_share: float = Field(default=0.03, description="information that noisy normals feign, relative to the largest")
+    open_sigma_m: float = 10.0
+    rival_m: float = 1.5
+    rival_rad: float = 0.5
+    rival_reach_m: float = 12.0
+    rival_step_m: float = 0.5
+    rival_points: int = 500
+    rival_rough_share: float = 0.7
+    rivals: int = 4
+
+
+class LoopGateSettings(Model):
+    """Which loops may enter the graph."""
+
+    drift_share: float = Field(default=0.01, description="drift of the odometry that surprises nobody")
+    drift_floor_m: float = 0.3
+    turn_per_m: float = Field(default=5e-4, description="the same for the heading, rad a metre")
+    turn_floor_rad: float = 0.05
+    extreme: float = Field(default=5.0, description="times that drift: what several loops together may correct")
+    open_extreme: float = Field(default=0.5, description="the same for a fit that leaves a direction open")
+    support: int = Field(default=3, description="loops that must agree before they correct more than the usual drift")
+    span_m: float = Field(default=12.0, description="and the way over which they must come")
+    quiet_m: float = Field(default=30.0, description="with no place on it or so shortly before it that repeats itself")
+    pair_floor_m: float = 0.3
+    pair_floor_rad: float = 0.03
+    pair_share: float = Field(default=0.05, description="drift between two loops that may still agree")
+    pair_turn_per_m: float = Field(default=2e-3, description="the same for the heading, rad a metre")
+    apart_m: float = Field(default=2.0, description="loops at one place are no support for each other")
+    forget_m: float = 100.0
+
+
+class LoopSettings(Model):
+    """Loop closures."""
+
+    places: PlaceSettings = PlaceSettings()
+    fit: LoopFitSettings = LoopFitSettings()
+    gate: LoopGateSettings = LoopGateSettings()
+    radius_m: float = 10.0
+    min_age_s: float = 30.0
+    spacing_m: float = 3.0
+    apply_after_frames: int = 30
+    target_keyframes: int = 10
+    source_keyframes: int = 3
     min_inlier_share: float = 0.7
-    max_shift_m: float = 5.0
+    min_backward_share: float = 0.4
+    max_tilt_rad: float = 0.05
+    rival_share: float = Field(default=0.85, description="another alignment that fits this well makes a fit ambiguous")
     rotation_sigma_rad: float = 0.003
     translation_sigma_m: float = 0.02
-    drift_share: float = Field(default=0.02, description="largest believable drift of the odometry")
-    drift_floor_m: float = 0.3
+    likeness: float = Field(default=0.55, description="of two places, -1 to 1, above which they are compared closely")
+    strong_likeness: float = 0.7
+    patience_m: float = Field(default=24.0, description="way to the next look after failures in a row, at most")
+    strong_patience_m: float = Field(default=9.0, description="the same for places above the strong likeness")
+    known_way_m: float = Field(default=20.0, description="places tied by a shorter way in the graph need no search")
+    search_voxel_share: float = 0.06
+    search_voxel_min_m: float = 0.3
+    search_voxel_max_m: float = 0.75
+    search_inlier_m: float = 1.0
+    search_inlier_share: float = 0.6
 
 
 class PipelineSettings(Model):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 
 import gtsam
 import numpy as np
@@ -10,6 +11,7 @@ from map_service.gnss_consensus import PlacedFix
 from map_service.gnss_datum import Weight
 from map_service.graph import PoseGraph, _gnss_error
 from map_service.settings import GraphSettings
+from map_service.types import FactorRecord
 from splitslam import se3
 
 COVARIANCE = np.diag(np.repeat([1e-3**2, 0.01**2], 3))
@@ -46,7 +48,7 @@ def test_a_loop_closes_the_gap_and_bends_the_whole_drive():
     graph, truth = driven(DRIFT)
     gap_m = np.linalg.norm(graph.poses[-1][:3, 3] - truth[-1][:3, 3])
     middle_m = np.linalg.norm(graph.poses[20][:3, 3] - truth[20][:3, 3])
-    graph.add_loop(0, 40, se3.inv(truth[0]) @ truth[40], (1e-3, 0.01), robust_sigmas=80.0)
+    graph.add_loop(0, 40, se3.inv(truth[0]) @ truth[40], COVARIANCE, robust_sigmas=80.0)
     graph.optimise(corrected=True)
     assert gap_m > 0.3
     assert np.linalg.norm(graph.poses[-1][:3, 3] - truth[-1][:3, 3]) < 0.05
@@ -55,7 +57,7 @@ def test_a_loop_closes_the_gap_and_bends_the_whole_drive():
 
 def test_a_false_loop_is_outvoted_by_the_robust_kernel():
     graph, truth = driven(np.zeros(6))
-    graph.add_loop(0, 40, se3.compose(np.eye(3), np.array([8.0, 3.0, 0.0])), (1e-3, 0.01))
+    graph.add_loop(0, 40, se3.compose(np.eye(3), np.array([8.0, 3.0, 0.0])), COVARIANCE)
     graph.optimise(corrected=True)
     assert np.linalg.norm(graph.poses[-1][:3, 3] - truth[-1][:3, 3]) < 0.1
 
@@ -66,9 +68,32 @@ def measurement(keyframe: int, enu_m: list[float], datum: int) -> GnssMeasuremen
     return GnssMeasurement(fix, Weight(np.array([1.0, 1.0, 2.0]), np.ones(3), 3.0), datum, np.eye(4))
 
 
+def test_a_loop_corrects_only_what_its_covariance_says_it_observes():
+    graph, _ = driven(np.zeros(6))
+    open_along_x = COVARIANCE + np.diag([0, 0, 0, 100.0, 0, 0])
+    before = graph.poses[-1].copy()  # looks along x again, at the start
+    graph.add_loop(0, 40, before @ se3.compose(np.eye(3), np.array([0.2, 0.2, 0.0])), open_along_x, robust_sigmas=80.0)
+    graph.optimise(corrected=True)
+    moved = graph.poses[-1][:3, 3] - before[:3, 3]
+    assert abs(moved[0]) < 0.02
+    assert moved[1] > 0.1
+
+
+def test_a_loop_as_the_first_release_stored_it_is_read():
+    graph, truth = driven(DRIFT)
+    motion = (se3.inv(truth[0]) @ truth[40])[:3].reshape(-1).tolist()
+    payload = {"v": 1, "older": 0, "newer": 40, "motion": motion, "sigmas": [1e-3, 0.01], "robust": 80.0}
+    old = FactorRecord(len(graph.records), "loop", json.dumps(payload).encode())
+    again = PoseGraph.restore(GraphSettings(), [*graph.records, old], list(graph.poses))
+    graph.add_loop(0, 40, se3.inv(truth[0]) @ truth[40], COVARIANCE, robust_sigmas=80.0)
+    graph.optimise(corrected=True)
+    assert again.loops == [(0, 40)]
+    assert np.linalg.norm(again.poses[-1][:3, 3] - graph.poses[-1][:3, 3]) < 2e-3
+
+
 def test_a_restored_graph_is_the_same_graph():
     graph, truth = driven(DRIFT)
-    graph.add_loop(0, 40, se3.inv(truth[0]) @ truth[40], (1e-3, 0.01))
+    graph.add_loop(0, 40, se3.inv(truth[0]) @ truth[40], COVARIANCE)
     graph.add_gnss(measurement(5, [5.0, 0.1, 0.3], datum=0))
     graph.add_gnss(measurement(15, [10.0, 5.1, 0.3], datum=0))
     graph.add_gnss(measurement(20, [30.0, 10.1, 0.3], datum=1))
