@@ -9,6 +9,7 @@ the corrected state a little with each sample.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,9 +292,12 @@ class ImuNode:
         T = self.T_odom_lidar_at(stamp_ns)
         heading = se3.so3_exp(np.array([0.0, 0.0, np.arctan2(T[1, 0], T[0, 0])]))
         T[:3, :3] = heading @ se3.level_rotation(self.T_lidar_imu[:3, :3] @ accel)
-        s = self.settings
-        self._anchor = NavigationState(stamp_ns, T @ self.T_lidar_imu, np.zeros(3), np.zeros(6), s.prior_velocity_mps)
-        self._tilt_sigma_rad, self._blind, self._answers = _MOVING_TILT_RAD, False, 0
+        T_odom_imu, anchor = T @ self.T_lidar_imu, self._anchor
+        assert anchor is not None
+        velocity = T_odom_imu[:3, :3] @ anchor.T_odom_imu[:3, :3].T @ anchor.velocity_mps
+        doubt = anchor.velocity_covariance + np.eye(3) * self.settings.no_imu_velocity_mps**2
+        self._tilt_sigma_rad, self._blind = _MOVING_TILT_RAD, False
+        self._anchor = NavigationState(stamp_ns, T_odom_imu, velocity, np.zeros(6), doubt, self._tilt_sigma_rad)
         return True
 
     # --- answers ----------------------------------------------------------------------------------------------
@@ -344,8 +348,7 @@ class ImuNode:
     def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
         anchor = self._anchor
         assert anchor is not None
-        doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
-        state = NavigationState(stamp_ns, anchor.T_odom_imu, anchor.velocity_mps, anchor.bias, *doubt)
+        state = replace(anchor, stamp_ns=stamp_ns, tilt_sigma_rad=self._tilt_sigma_rad)
         self.graph.start(state, T_server_imu, self._tilt_sigma_rad)
         self._started = True
 

@@ -33,7 +33,7 @@ class ImuSettings(Model):
     blend_step_rad: float = 0.003
     history_s: float = 10.0
     gap_radps: float = 0.5
-    gap_mps2: float = 2.0
+    gap_mps2: float = 5.0
     gap_alike_s: float = 0.3
     drift_mps2: float = 0.03
     drift_s: float = 5.0
