@@ -59,7 +59,7 @@ def test_what_is_carried_on_turns_evenly_and_keeps_the_body_s_own_velocity():
 
 
 def errors_with_a_gap(from_s: float, to_s: float, drive: Drive, seconds: float):
-    """Errors of each predicted motion (m) by scan, its sigma (m), and the node, when samples of that time never come."""
+    """Errors of each predicted motion by scan, its sigma (m), and the node, when samples of that time never come."""
     node = make_node(200.0)
     original = node.add_imu
 
@@ -100,5 +100,5 @@ def test_an_imu_that_never_speaks_leaves_a_node_that_follows_the_answers():
 def test_an_imu_that_comes_late_levels_the_robot_then():
     errors, _, node = errors_with_a_gap(-np.inf, 4.0, Drive(still_s=2.0), 14.0)
     assert np.median(errors[100:]) < 0.003
-    motion = node.motion_over(START_NS + 138 * SCAN_NS, START_NS + 139 * SCAN_NS)
+    motion = node.motion_over(START_NS + 137 * SCAN_NS, START_NS + 138 * SCAN_NS)
     assert motion.gravity_sigma_rad < 0.4
