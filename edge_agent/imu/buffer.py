@@ -11,6 +11,7 @@ from splitslam.scan import ImuSamples
 
 _NOISE_SAMPLES = 500
 _LONGEST_BLOCK_S = 0.05
+_LAST_SAMPLES = 10
 _UNKNOWN_GYRO_RADPS = 0.01
 _UNKNOWN_ACCEL_MPS2 = 0.5
 
@@ -55,16 +56,22 @@ class ImuBuffer:
         return len(self._stamps)
 
     @property
+    def last_gyro_radps(self) -> NDArray[np.float64]:
+        """(3,) mean of the newest samples: one of them is noise and the shake of a step."""
+        return self._values[-_LAST_SAMPLES:, :3].mean(axis=0)
+
+    @property
     def last_ns(self) -> int:
         """Stamp of the newest sample."""
         return int(self._stamps[-1])
 
-    def append(self, samples: ImuSamples) -> None:
-        """Adds samples, all newer than the last."""
+    def append(self, samples: ImuSamples, made: bool = False) -> None:
+        """Adds samples, all newer than the last; made ones (gaps.py) say nothing about the IMU's noise."""
         values = np.hstack([samples.gyro_radps, samples.accel_mps2])
         self._stamps = np.concatenate([self._stamps, samples.stamps_ns])
         self._values = np.concatenate([self._values, values])
-        self._recent = np.concatenate([self._recent, values])[-_NOISE_SAMPLES:]
+        if not made:
+            self._recent = np.concatenate([self._recent, values])[-_NOISE_SAMPLES:]
 
     def drop_before(self, stamp_ns: int) -> None:
         """Forgets what lies before the last sample at or before `stamp_ns`."""

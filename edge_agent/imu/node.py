@@ -9,12 +9,14 @@ the corrected state a little with each sample.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.imu import _kernels as kernels
 from edge_agent.imu.buffer import ImuBuffer, ImuWindow
+from edge_agent.imu.gaps import Gaps, carried_on
 from edge_agent.imu.graph import ImuNoise, LocalGraph, NavigationState
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.wheel_factor import WheelVelocity
@@ -28,6 +30,8 @@ from splitslam.scan import ImuSamples, WheelSamples
 Array = NDArray[np.float64]
 INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
 _STILL_GYRO_RADPS = 0.03
+_UNKNOWN_TILT_RAD, _MOVING_TILT_RAD = 0.5, 0.1
+_LEVEL_NS = 100_000_000
 _FIRST_READING_NS = 50_000_000
 
 
@@ -39,6 +43,8 @@ class ImuNode:
         self.T_lidar_imu = robot.T_lidar_imu
         self.T_imu_lidar = se3.inv(robot.T_lidar_imu)
         self.buffer = ImuBuffer()
+        self.gaps = Gaps(robot.imu.rate_hz if robot.imu is not None else 100.0)
+        self._rate_imu = np.zeros(3)  # as the last two answers have it, rad/s
         self.wheels = None if robot.wheels is None else WheelAid(robot, settings)
         self.graph = LocalGraph(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
         self.T_map_odom = np.eye(4)
@@ -48,6 +54,7 @@ class ImuNode:
         self._worst = np.zeros(2)
         self._anchor: NavigationState | None = None
         self._started = False  # the graph has its first key
+        self._blind = False  # no sample has come: nobody knows where down is
         self._answers = 0
         self._live = np.zeros((1, 15))
         self._live_ns = 0
@@ -62,10 +69,25 @@ class ImuNode:
 
     def add_imu(self, samples: ImuSamples) -> OdomPoses:
         """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan)."""
+        if len(samples) == 0:
+            return _no_poses()
+        if self._anchor is not None and self.gaps.between(self.buffer.last_ns, int(samples.stamps_ns[0])):
+            self._bridge(int(samples.stamps_ns[0]) - 1, samples.gyro_radps[0])
+        self.gaps.seen(samples.stamps_ns)
         self.buffer.append(samples)
-        if self._anchor is None or len(samples) == 0:
+        if self._anchor is None:
             return _no_poses()
         return self._propagate(int(samples.stamps_ns[-1]))
+
+    def _bridge(self, until_ns: int, gyro_after: Array | None) -> None:
+        """Fills a gap of the IMU; gyro_after: what it said when it came back, None while it is silent."""
+        anchor = self._anchor
+        assert anchor is not None
+        start_ns, rate = self.buffer.last_ns, self._rate_imu + anchor.bias[:3]
+        gyro = (rate, rate) if gyro_after is None else (self.buffer.last_gyro_radps, gyro_after)
+        g = self.robot.gravity_mps2
+        self.buffer.append(carried_on(start_ns, until_ns, gyro, self._live[0], anchor.bias, g), made=True)
+        self.gaps.remember(start_ns, until_ns)
 
     def _propagate(self, end_ns: int) -> OdomPoses:
         if end_ns <= self._live_ns:
@@ -133,7 +155,8 @@ class ImuNode:
         g = self.robot.gravity_mps2
         kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, anchor.bias, g, states)
         if self.wheels is not None:
-            noise = self._noise().accel_mps2_rthz, (int(window.stamps_ns[0]) - anchor.stamp_ns) * 1e-9
+            start_ns, end_ns = int(window.stamps_ns[0]), int(window.stamps_ns[-1])
+            noise = self._noise(start_ns, end_ns).accel_mps2_rthz, (start_ns - anchor.stamp_ns) * 1e-9
             self.wheels.aid(window, states, anchor.bias, wheels_after_ns, noise, P)
         return states
 
@@ -151,6 +174,9 @@ class ImuNode:
         """The motion of the LiDAR since the previous scan and inside this one, from the newest optimised state."""
         if self._anchor is None:
             self._initialise(start_ns, end_ns)
+        elif self.gaps.between(self.buffer.last_ns, end_ns):
+            self._bridge(end_ns, None)
+            self._propagate(end_ns)
         anchor = self._anchor
         assert anchor is not None
         # a scan may have been answered before the next one is asked for, but the anchor is never newer than that
@@ -158,7 +184,9 @@ class ImuNode:
         self._previous_scan_ns = start_ns
         if self.wheels is not None:
             self.wheels.drop_before(anchor.stamp_ns)
-        self.buffer.drop_before(min(anchor.stamp_ns, self._live_ns) - int(1e8))
+        oldest_ns = min(anchor.stamp_ns, self._live_ns) - int(1e8)
+        self.buffer.drop_before(oldest_ns)
+        self.gaps.drop_before(oldest_ns)
         window = self.buffer.window(anchor.stamp_ns, end_ns)
         window = window.at(np.union1d(window.stamps_ns, [previous_ns, start_ns]))
         stamps, gyro = window.stamps_ns, window.gyro_radps
@@ -168,9 +196,10 @@ class ImuNode:
         T_start = self._lidar_pose(states[here])
         T_prev_lidar = se3.inv(self._lidar_pose(states[first])) @ T_start
         R = T_start[:3, :3]
+        noise = self._noise(anchor.stamp_ns, start_ns)
         if self.wheels is None:
-            P += np.eye(3) * self._noise().accel_mps2_rthz ** 2 * (start_ns - anchor.stamp_ns) * 1e-9
-        covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, R.T @ P @ R)
+            P += np.eye(3) * noise.accel_mps2_rthz**2 * (start_ns - anchor.stamp_ns) * 1e-9
+        covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, R.T @ P @ R, noise)
         lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
         velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
         return Motion(
@@ -179,7 +208,7 @@ class ImuNode:
             velocity_lidar_mps=velocity,
             knots=self._knots(stamps[here:] - start_ns, states[here:]),
             gravity_lidar=-R[2],
-            gravity_sigma_rad=anchor.tilt_sigma_rad,
+            gravity_sigma_rad=_UNKNOWN_TILT_RAD if self.gaps.overlap(previous_ns, end_ns) else anchor.tilt_sigma_rad,
             velocity_known=self._answers >= 2,
         )
 
@@ -194,19 +223,23 @@ class ImuNode:
         kernels.knots(poses, rotation, translation)
         return Knots(offsets_ns.astype(np.int64), rotation, translation)
 
-    def _motion_covariance(self, interval_s: float, velocity_lidar: Array) -> Array:
+    def _motion_covariance(self, interval_s: float, velocity_lidar: Array, noise: ImuNoise) -> Array:
         """(6, 6) of the motion over an interval; velocity_lidar: (3, 3) covariance of the velocity, frame `lidar`."""
-        noise, s = self._noise(), self.settings
+        s = self.settings
         rotation = noise.gyro_radps_rthz**2 * interval_s + (0.1 * s.prior_bias_gyro_radps * interval_s) ** 2
         covariance = np.eye(6) * 1e-8
         covariance[:3, :3] += np.eye(3) * rotation
         covariance[3:, 3:] += (velocity_lidar + np.eye(3) * noise.accel_mps2_rthz**2 * interval_s) * interval_s**2
         return covariance
 
-    def _noise(self) -> ImuNoise:
-        imu = self.robot.imu
+    def _noise(self, start_ns: int, end_ns: int) -> ImuNoise:
+        """The IMU's noise over a time: its own, or what a robot may do while it is silent."""
+        imu, s = self.robot.imu, self.settings
         assert imu is not None
         gyro, accel = self.buffer.noise_densities()
+        if self.gaps.overlap(start_ns, end_ns):
+            root = s.gap_alike_s**0.5
+            gyro, accel = max(gyro, s.gap_radps * root), max(accel, s.gap_mps2 * root)
         return ImuNoise(
             max(gyro, imu.gyro_noise_radps_rthz),
             max(accel, imu.accel_noise_mps2_rthz),
@@ -216,13 +249,16 @@ class ImuNode:
 
     def _initialise(self, start_ns: int, end_ns: int) -> None:
         """Level the robot by what the accelerometer says so far; nothing is assumed of its velocity."""
+        self._blind = len(self.buffer) == 0
+        if self._blind:
+            self._stand_in(start_ns, end_ns)
         window = self.buffer.window(min(start_ns, self.buffer.last_ns), end_ns)
         accel, gyro = window.accel_mps2.mean(axis=0), window.gyro_radps.mean(axis=0)
         g = self.robot.gravity_mps2
         spread = float(np.linalg.norm(window.accel_mps2.std(axis=0)))
         still = len(window.stamps_ns) >= 20 and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
         excess = abs(float(np.linalg.norm(accel)) - g) / g
-        self._tilt_sigma_rad = max(0.01, excess) if still else 0.1
+        self._tilt_sigma_rad = _UNKNOWN_TILT_RAD if self._blind else max(0.01, excess) if still else _MOVING_TILT_RAD
         up_lidar = self.T_lidar_imu[:3, :3] @ accel
         T_odom_lidar = se3.compose(se3.level_rotation(up_lidar), np.zeros(3))
         bias = np.zeros(6)
@@ -239,6 +275,31 @@ class ImuNode:
         if self.buffer.last_ns > start_ns:
             self._propagate(self.buffer.last_ns)
 
+    def _stand_in(self, start_ns: int, end_ns: int) -> None:
+        """No sample has ever come: the robot is taken to stand level, and nothing is sure of that."""
+        stamps_ns = np.array([start_ns, end_ns])
+        up_imu = self.T_imu_lidar[:3, 2] * self.robot.gravity_mps2
+        self.buffer.append(ImuSamples(stamps_ns, np.zeros((2, 3)), np.tile(up_imu, (2, 1))), made=True)
+        self.gaps.remember(start_ns, end_ns)
+
+    def _level_late(self, stamp_ns: int) -> bool:
+        """The first samples have come after the first scan: level the robot with them, as in motion; its place and
+        heading are those of the output. False while they do not cover a scan."""
+        end_ns = stamp_ns + _LEVEL_NS
+        if self.buffer.last_ns < end_ns or self.gaps.overlap(stamp_ns, end_ns):
+            return False
+        accel = self.buffer.window(stamp_ns, end_ns).accel_mps2.mean(axis=0)
+        T = self.T_odom_lidar_at(stamp_ns)
+        heading = se3.so3_exp(np.array([0.0, 0.0, np.arctan2(T[1, 0], T[0, 0])]))
+        T[:3, :3] = heading @ se3.level_rotation(self.T_lidar_imu[:3, :3] @ accel)
+        T_odom_imu, anchor = T @ self.T_lidar_imu, self._anchor
+        assert anchor is not None
+        velocity = T_odom_imu[:3, :3] @ anchor.T_odom_imu[:3, :3].T @ anchor.velocity_mps
+        doubt = anchor.velocity_covariance + np.eye(3) * self.settings.no_imu_velocity_mps**2
+        self._tilt_sigma_rad, self._blind = _MOVING_TILT_RAD, False
+        self._anchor = NavigationState(stamp_ns, T_odom_imu, velocity, np.zeros(6), doubt, self._tilt_sigma_rad)
+        return True
+
     # --- answers ----------------------------------------------------------------------------------------------
 
     def on_odometry(self, reply: OdometryReply) -> None:
@@ -250,12 +311,15 @@ class ImuNode:
             return
         T_odom_lidar = self.T_odom_lidar_at(reply.stamp_ns)
         T_server_imu = se3.inv(reply.T_map_odom) @ reply.T_map_lidar @ self.T_lidar_imu
-        if not self._started:
+        if (self._blind and self._level_late(reply.stamp_ns)) or not self._started:
             self._start_graph(reply.stamp_ns, T_server_imu)
         else:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
             wheel = self._wheels_at_scan(window)
-            self.graph.add(reply.stamp_ns, T_server_imu, window, self._noise(), self._axes_imu(reply), wheel)
+            noise = self._noise(anchor.stamp_ns, reply.stamp_ns)
+            self.graph.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
+            turned = anchor.T_odom_imu[:3, :3].T @ self.graph.state.T_odom_imu[:3, :3]
+            self._rate_imu = se3.so3_log(turned) / ((reply.stamp_ns - anchor.stamp_ns) * 1e-9)
             if self.graph.failed:
                 self.resets += 1
                 self._started = False
@@ -274,17 +338,17 @@ class ImuNode:
         if self.wheels is None:
             return None
         state = self.graph.state
+        noise = self._noise(int(window.stamps_ns[0]), int(window.stamps_ns[-1]))
         states = np.empty((len(window.stamps_ns), 15))
         states[0] = _row(state)
         g = self.robot.gravity_mps2
         kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
-        return self.wheels.at_scan(window, states, state.bias, state.velocity_sigma_mps, self._noise().accel_mps2_rthz)
+        return self.wheels.at_scan(window, states, state.bias, state.velocity_sigma_mps, noise.accel_mps2_rthz)
 
     def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
         anchor = self._anchor
         assert anchor is not None
-        doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
-        state = NavigationState(stamp_ns, anchor.T_odom_imu, anchor.velocity_mps, anchor.bias, *doubt)
+        state = replace(anchor, stamp_ns=stamp_ns, tilt_sigma_rad=self._tilt_sigma_rad)
         self.graph.start(state, T_server_imu, self._tilt_sigma_rad)
         self._started = True
 

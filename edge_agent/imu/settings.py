@@ -9,7 +9,8 @@ class ImuSettings(Model):
     """Defaults follow LIO-SAM where it has them; the noise figures are the robot file's, raised to what is seen.
 
     drift_mps2: acceleration that tilt and bias leave over when the IMU alone is integrated, and drift_s for how long
-    it stays the same.
+    it stays the same. gap_*: how a robot may turn and accelerate while the
+    IMU is silent, and for how long the same way.
     """
 
     reset_keys: int = 100
@@ -31,6 +32,9 @@ class ImuSettings(Model):
     blend_step_m: float = 0.01
     blend_step_rad: float = 0.003
     history_s: float = 10.0
+    gap_radps: float = 0.5
+    gap_mps2: float = 5.0
+    gap_alike_s: float = 0.3
     drift_mps2: float = 0.03
     drift_s: float = 5.0
     no_imu_velocity_mps: float = 0.5

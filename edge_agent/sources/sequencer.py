@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter, deque
 from typing import Generic, TypeVar
 
@@ -13,6 +14,7 @@ from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
 _JUMP_NS = 1_000_000_000  # a longer step ahead is believed only when the next message confirms it
 _MAX_WAITING = 20
+_log = logging.getLogger(__name__)
 Item = ImuSamples | WheelSamples | ScanPacket
 T = TypeVar("T", Scan, ImuSamples, WheelSamples, GnssFix)
 
@@ -60,6 +62,10 @@ class _Clock(Generic[T]):
         held, self._held = self._held, None
         return [] if held is None else [held[2]]
 
+    def pass_by(self, stamp_ns: int) -> None:
+        """The stream has been waited for in vain: what it still has for the time up to here is of no use any more."""
+        self._last_ns = stamp_ns if self._last_ns is None else max(self._last_ns, stamp_ns)
+
     def _drop(self, reason: str, item: T) -> None:
         self._dropped[self._prefix + reason] += len(item) if isinstance(item, ImuSamples | WheelSamples) else 1
 
@@ -76,7 +82,8 @@ class Sequencer:
     passes straight through.
     dropped: messages left out by reason: duplicate, time_backwards, time_jump, nan, empty; with the prefix `imu_`,
     `wheel_` or `gnss_` for those streams.
-    uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended.
+    uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended. A scan
+    waits for it until 20 do; then none does, until it is back. Samples for the time of a scan that is gone are dropped.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -84,6 +91,7 @@ class Sequencer:
         self.uncovered = 0
         self._imu = robot.imu is not None
         self._covered_ns: int | None = None
+        self._silent = False  # the IMU: nobody waits for it until it is back
         self._waiting: deque[Scan] = deque()
         self._fixes: list[GnssFix] = []
         self._scan_clock = _Clock[Scan]("", self.dropped)
@@ -121,7 +129,10 @@ class Sequencer:
             return []
         self._waiting.extend(self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan))
         out: list[Item] = []
-        while self._waiting and (self._covers(self._waiting[0]) or len(self._waiting) > _MAX_WAITING):
+        if len(self._waiting) > _MAX_WAITING and not self._silent:
+            self._silent = True
+            _log.warning("imu: no samples for %d scans; going on without it", _MAX_WAITING)
+        while self._waiting and (self._silent or self._covers(self._waiting[0])):
             out.append(self._release())
         return out
 
@@ -145,6 +156,7 @@ class Sequencer:
 
     def _emit(self, samples: ImuSamples) -> list[Item]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
+        self._silent = False
         out: list[Item] = []
         done = 0
         while self._waiting:
@@ -168,6 +180,7 @@ class Sequencer:
         scan = self._waiting.popleft()
         if not self._covers(scan):
             self.uncovered += 1
+            self._imu_clock.pass_by(scan.end_ns)
         packet = ScanPacket(scan, tuple(self._fixes))
         self._fixes.clear()
         return packet

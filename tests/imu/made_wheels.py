@@ -114,17 +114,16 @@ def play(
         if k == 0:
             T_map_odom = se3.compose(se3.level_rotation(-motion.gravity_lidar), np.zeros(3)) @ se3.inv(T_first)
         T_true = drive.T_odom_imu(t) @ T_imu_lidar
+        seen, unobserved = T_map_odom @ T_true, np.zeros((0, 6))
         if t >= service.blind_s:
             way = T_map_odom[:3, :3] @ (drive.T_odom_imu(t + 1e-3)[:3, 3] - drive.T_odom_imu(t - 1e-3)[:3, 3])
-            T_map_lidar = _blind(T_map_lidar @ motion.T_prev_lidar, T_map_odom @ T_true, way / np.linalg.norm(way))
-        else:
-            T_map_lidar = T_map_odom @ T_true
-        seen = T_map_lidar.copy()
+            way /= np.linalg.norm(way)
+            seen = _blind(T_map_lidar @ motion.T_prev_lidar, seen, way)
+            unobserved = np.concatenate([np.zeros(3), seen[:3, :3].T @ way])[None]
+        T_map_lidar = seen.copy()
         seen[:3, 3] += rng.normal(0, service.noise_m, 3)
-        blind = t >= service.blind_s
-        replies.append(
-            OdometryReply(k + 1, start, seen, np.eye(4), np.eye(6) * 1e-4, 3 if blind else 2, np.eye(6)[: 6 * blind])
-        )
+        state = 3 if len(unobserved) else 2
+        replies.append(OdometryReply(k + 1, start, seen, np.eye(4), np.eye(6) * 1e-4, state, unobserved))
         T_odom = node.T_odom_lidar_at(start)
         if t <= since_s:
             reference = T_odom @ se3.inv(T_true)

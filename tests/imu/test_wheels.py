@@ -51,7 +51,8 @@ def test_wheels_that_slip_are_left_out_for_as_long(service, slip_mps, imu_alone)
     aided = drive(slipping, service)
     assert along(aided) < 0.5 * along(imu_alone[service])  # believed, they alone would be 4.5 m off
     if service is BLIND:
-        assert 28 <= aided.node.wheels_report["slips"] <= 33
+        assert aided.node.wheels is not None
+        assert 28 <= aided.node.wheels.slips <= 33
 
 
 def test_what_lidar_and_imu_see_is_not_spoilt_by_a_wrong_wheel_size():

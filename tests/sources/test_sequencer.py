@@ -87,11 +87,23 @@ def test_the_last_scan_goes_at_the_end_of_input_and_is_counted_as_uncovered():
     assert sequencer.uncovered == 1
 
 
-def test_an_imu_that_stops_does_not_hold_the_scans_for_ever():
+def test_an_imu_that_stops_is_waited_for_once_and_not_for_ever():
     sequencer = with_imu()
-    out = [item for k in range(30) for item in sequencer.push(scan(100 * k))]
-    assert 5 < len(out) < 30
-    assert sequencer.uncovered == len(out)
+    sequencer.push(imu(0))
+    out = [len(sequencer.push(scan(100 * k))) for k in range(25)]
+    assert out == [0] * 20 + [21, 1, 1, 1, 1]
+    assert sequencer.uncovered == 25
+    assert told(sequencer.push(imu(2600))) == [[2600]]  # it is back: the next scan waits again
+    assert told(sequencer.push(scan(2550))) == []
+    assert told(sequencer.push(imu(2700))) == [[2700], 2550]
+
+
+def test_samples_for_scans_that_have_gone_without_them_are_dropped():
+    sequencer = with_imu()
+    for k in range(21):
+        sequencer.push(scan(100 * k))
+    assert told(sequencer.push(imu(1500, 2099, 2100.5))) == [[2100.5]]
+    assert sequencer.dropped == {"imu_time_backwards": 2}
 
 
 def test_fixes_go_with_the_next_packet_only():

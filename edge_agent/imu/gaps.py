@@ -1,0 +1,73 @@
+"""Where the IMU is silent: samples as they would be if the motion went on as it was.
+
+A gap is longer than what interpolation may bridge. In it the body's velocity is held and its turning rate goes in a
+line from what it was to what it is afterwards, or stays; the noise of such samples is what a robot may do meanwhile.
+So everything that integrates goes on, and the answers of the map service carry the pose.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitslam import se3
+from splitslam.scan import ImuSamples
+
+Array = NDArray[np.float64]
+_PERIODS = 5
+_SHORTEST_NS = 50_000_000
+_STEP_NS = 10_000_000
+_KEPT = 51
+
+
+class Gaps:
+    """Knows the IMU's period and remembers where it was silent."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._periods_ns = np.array([int(1e9 / rate_hz)])
+        self._last_ns: int | None = None
+        self._intervals: list[tuple[int, int]] = []
+
+    def seen(self, stamps_ns: NDArray[np.int64]) -> None:
+        """Takes the stamps of real samples."""
+        before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
+        periods = np.diff(np.concatenate([before, stamps_ns]))
+        self._periods_ns = np.concatenate([self._periods_ns, periods[periods > 0]])[-_KEPT:]
+        self._last_ns = int(stamps_ns[-1])
+
+    def between(self, last_ns: int, next_ns: int) -> bool:
+        """Is so long a time without samples a gap?"""
+        return next_ns - last_ns > max(_SHORTEST_NS, _PERIODS * int(np.median(self._periods_ns)))
+
+    def remember(self, start_ns: int, end_ns: int) -> None:
+        """A gap was filled."""
+        self._intervals.append((start_ns, end_ns))
+
+    def overlap(self, start_ns: int, end_ns: int) -> bool:
+        """Is any of [start, end] filled?"""
+        return any(a < end_ns and start_ns < b for a, b in self._intervals)
+
+    def drop_before(self, stamp_ns: int) -> None:
+        """Forgets gaps that ended before."""
+        self._intervals = [interval for interval in self._intervals if interval[1] >= stamp_ns]
+
+
+def carried_on(
+    start_ns: int, until_ns: int, gyro_radps: tuple[Array, Array], state: Array, bias: Array, gravity_mps2: float
+) -> ImuSamples:
+    """Samples every 10 ms in (start, until].
+
+    gyro_radps: (3,) at the start and at the end, bias in it. state: row (15,) of the Imu node at the start. bias (6,),
+    gyro first. The specific force is that of a body that keeps its own velocity while it turns: R^T g + w x v.
+    """
+    count = max(-(-(until_ns - start_ns) // _STEP_NS), 1)
+    shares = np.arange(1, count + 1) / count
+    stamps_ns = start_ns + ((until_ns - start_ns) * np.arange(1, count + 1) // count).astype(np.int64)
+    gyro = (1 - shares)[:, None] * gyro_radps[0] + shares[:, None] * gyro_radps[1]
+    R, dt = state[:9].reshape(3, 3), (until_ns - start_ns) * 1e-9 / count
+    velocity_imu = R.T @ state[12:]
+    accel = np.empty((count, 3))
+    for k, rate in enumerate(gyro - bias[:3]):
+        R = R @ se3.so3_exp(rate * dt)
+        accel[k] = R.T @ np.array([0.0, 0.0, gravity_mps2]) + np.cross(rate, velocity_imu) + bias[3:]
+    return ImuSamples(stamps_ns, gyro, accel)
