@@ -2,8 +2,11 @@
 
 The edge knows "down" to about a milliradian once it has moved, not at a start in motion; the map is as level as the
 first frame was, and its tilt drifts with the odometry. Levelling turns the map about its origin, which moves a robot
-at 100 m by 10 cm for each milliradian: more than a map loses by standing a little askew. So nothing is done within
-half a degree or the doubt of the direction itself, and what is done is done in small steps.
+at 100 m by 10 cm for each milliradian: more than a map loses by standing a little askew. So once the map has
+some size nothing is done within two degrees, or within the doubt of the direction itself, and the rest in small steps.
+
+An IMU that is mounted a degree off shows "down" a degree off, the same way in the robot's frame wherever it heads. The
+map's tilt is one in the map's frame, so the two are told apart as the robot turns, and only the map's is corrected.
 """
 
 from __future__ import annotations
@@ -22,12 +25,16 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tilt:
-    """How askew the map is at its newest keyframe: down_lidar (3,) unit vector that should be, size_rad, sigma_rad."""
+    """How askew the map is at its newest keyframe: down_lidar (3,) unit vector that should be, size_rad, sigma_rad.
+
+    reach_m: how far the map goes from its origin, which it is turned about.
+    """
 
     keyframe: int
     down_lidar: Array
     size_rad: float
     sigma_rad: float
+    reach_m: float = 0.0
 
 
 class Leveller:
@@ -36,7 +43,8 @@ class Leveller:
     def __init__(self, settings: LevelSettings) -> None:
         self.settings = settings
         self.active = False
-        self._seen: deque[tuple[int, Array, float]] = deque(maxlen=settings.keyframes)
+        self.reach_m = 0.0
+        self._seen: deque[tuple[int, Array, float]] = deque(maxlen=settings.window)
 
     def look(self, keyframe: int, gravity_lidar: Array, sigma_rad: float) -> None:
         """A keyframe with its direction of gravity (3,), frame `lidar`, and the doubt of it."""
@@ -45,15 +53,38 @@ class Leveller:
     def tilt(self, poses: list[Array]) -> Tilt | None:
         """What to correct now, poses being T_map_lidar of all keyframes; None while the map is level enough."""
         s = self.settings
+        if not self._seen:
+            return None
+        newest = self._seen[-1][0]
+        self.reach_m = max(self.reach_m, float(np.linalg.norm(poses[newest][:3, 3])))
         if len(self._seen) < s.keyframes:
             return None
-        down = np.median([poses[i][:3, :3] @ g for i, g, _ in self._seen], axis=0)
+        x, covariance = self._solve(poses)
+        size_rad = float(np.linalg.norm(x))
+        sigma_rad = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+        down = DOWN + np.array([x[0], x[1], 0.0])
         down /= np.linalg.norm(down)
-        size_rad = float(np.arccos(np.clip(down @ DOWN, -1.0, 1.0)))
-        newest, _, sigma_rad = self._seen[-1]
-        tolerable_rad = max(s.tolerable_rad, s.sigmas * sigma_rad)
+        free = size_rad * self.reach_m < s.step_m  # of a small map it costs nothing
+        tolerable_rad = max(s.near_rad if free else s.tolerable_rad, s.sigmas * sigma_rad)
         self.active = size_rad > (tolerable_rad * s.until_share if self.active else tolerable_rad)
-        return Tilt(newest, poses[newest][:3, :3].T @ down, size_rad, sigma_rad) if self.active else None
+        return Tilt(newest, poses[newest][:3, :3].T @ down, size_rad, sigma_rad, self.reach_m) if self.active else None
+
+    def _solve(self, poses: list[Array]) -> tuple[Array, Array]:
+        """Tilt of the map (2,), the x and y of what should be down in it, with its covariance (2, 2).
+
+        Least squares over the keyframes: R_i g_i = down + tilt + R_i mounting, older ones fading.
+        """
+        s = self.settings
+        normal = np.diag(np.concatenate([np.zeros(2), np.full(3, 1.0 / s.mounting_rad**2)]))
+        right = np.zeros(5)
+        for age, (i, gravity, sigma) in enumerate(reversed(self._seen)):
+            R = poses[i][:3, :3]
+            J = np.hstack([np.eye(2), R[:2]])
+            weight = np.exp(-age / s.fade) / (s.alike * sigma**2)
+            normal += weight * J.T @ J
+            right += weight * J.T @ (R @ gravity)[:2]
+        covariance = np.linalg.inv(normal)
+        return (covariance @ right)[:2], covariance[:2, :2]
 
     def factor_sigma_rad(self, tilt: Tilt, map_sigma_rad: float) -> float:
         """Standard deviation of a factor that turns the map by a small step, `map_sigma_rad` being its own doubt.
@@ -61,14 +92,20 @@ class Leveller:
         Scalar Kalman gain: g = m^2 / (m^2 + sigma^2). Gravity's errors are those of the accelerometer's bias and last
         for minutes, so a factor is never stronger than one sigma of it.
         """
-        gain = min(self.settings.step_rad / tilt.size_rad, 0.5)
+        s = self.settings
+        step_rad = max(s.step_rad, s.step_m / max(tilt.reach_m, 1.0))
+        gain = min(step_rad / tilt.size_rad, 0.9)
         return max(tilt.sigma_rad, map_sigma_rad * float(np.sqrt(1.0 / gain - 1.0)))
 
     def dump(self) -> dict:
         """For a restart (JSON)."""
-        return {"active": self.active, "seen": [[i, g.tolist(), sigma] for i, g, sigma in self._seen]}
+        return {
+            "active": self.active,
+            "reach_m": self.reach_m,
+            "seen": [[i, g.tolist(), sigma] for i, g, sigma in self._seen],
+        }
 
     def load(self, data: dict) -> None:
         """The reverse of dump."""
-        self.active = bool(data["active"])
+        self.active, self.reach_m = bool(data["active"]), float(data["reach_m"])
         self._seen.extend((int(i), np.array(g), float(sigma)) for i, g, sigma in data["seen"])

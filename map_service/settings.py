@@ -91,11 +91,17 @@ class GraphSettings(Model):
 class LevelSettings(Model):
     """When the map is turned to be level."""
 
-    keyframes: int = Field(default=10, description="that must have been seen; their median counts")
-    tolerable_rad: float = 0.01
-    sigmas: float = 2.0
+    keyframes: int = Field(default=10, description="that must have been seen")
+    window: int = Field(default=150, description="keyframes that count, older ones less")
+    fade: float = Field(default=50.0, description="keyframes after which one counts for 1/e")
+    alike: float = Field(default=10.0, description="so many neighbours have the same error of gravity")
+    mounting_rad: float = Field(default=0.01, description="how well T_lidar_imu is believed")
+    tolerable_rad: float = 0.035
+    near_rad: float = Field(default=0.005, description="the same while levelling moves nothing by more than a step")
+    sigmas: float = 2.5
     until_share: float = Field(default=0.3, description="of what is tolerable: where levelling ends")
     step_rad: float = 0.002
+    step_m: float = Field(default=0.03, description="a step moves the robot by so much at least, near the origin")
 
 
 class GnssSettings(Model):
