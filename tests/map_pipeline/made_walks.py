@@ -115,9 +115,9 @@ class DriftingTracker(Tracker):
         else:
             motion = se3.inv(self._truth[k - 1]) @ self._truth[k]
             T = self.state.T_local_lidar @ motion @ se3.exp(self._drift * float(np.linalg.norm(motion[:3, 3])))
-            zeros = np.zeros(6)
+            none, sure = np.zeros(0, np.int64), np.eye(6) * 1e-6
             result = RegistrationResult(
-                T, np.eye(6), np.eye(6) * 1e-6, True, 1, 0, 0, 0, 0.0, np.zeros((0, 6)), zeros, np.zeros(0, int)
+                T, np.eye(6), sure, True, 1, 0, 0, 0, 0.0, np.zeros((0, 6)), np.zeros(6), none
             )  # fmt: skip
         self.state = TrackerState(T, T, frame.stamp_ns, frame.seq, np.zeros(6), np.zeros(6), 0, frame.seq)
         return Track(T, result, State.TRACKING, True, frame.corners.points_lidar, frame.surfs.points_lidar)
