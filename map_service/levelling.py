@@ -84,7 +84,7 @@ class Leveller:
             normal += weight * J.T @ J
             right += weight * J.T @ (R @ gravity)[:2]
         covariance = np.linalg.inv(normal)
-        return (covariance @ right)[:2], covariance[:2, :2]
+        return np.asarray((covariance @ right)[:2]), np.asarray(covariance[:2, :2], np.float64)
 
     def factor_sigma_rad(self, tilt: Tilt, map_sigma_rad: float) -> float:
         """Standard deviation of a factor that turns the map by a small step, `map_sigma_rad` being its own doubt.
@@ -93,7 +93,8 @@ class Leveller:
         for minutes, so a factor is never stronger than one sigma of it.
         """
         s = self.settings
-        step_rad = max(s.step_rad, s.step_m / max(tilt.reach_m, 1.0))
+        step_m = s.young_step_m if tilt.reach_m < s.young_m else s.step_m
+        step_rad = max(s.step_rad, step_m / max(tilt.reach_m, 1.0))
         gain = min(step_rad / tilt.size_rad, 0.9)
         return max(tilt.sigma_rad, map_sigma_rad * float(np.sqrt(1.0 / gain - 1.0)))
 

@@ -94,8 +94,7 @@ class MapPipeline:
         else:
             motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
             covariance = self._odometry_covariance(track, motion)
-            drift = self._map_covariance + self.settings.drift_growth * track.registration.covariance
-            self.graph.add_odometry(T_map_lidar, motion, covariance, drift)
+            self.graph.add_odometry(T_map_lidar, motion, covariance, self._covariance(track))
             if self.gnss is not None:
                 self.gnss.moved(covariance)
         self.keyframes.add(frame, track)
@@ -109,6 +108,13 @@ class MapPipeline:
             > self.settings.tracker.local_map.rebuild_distance_m
         ):
             self._rebuild()
+
+    def _covariance(self, track: Track) -> Array:
+        """(6, 6) of the pose in the frame of the first one: the map's where it was matched, and the registration's."""
+        r = track.registration
+        return (
+            self._map_covariance if r is None else np.asarray(self._map_covariance + self.settings.doubt * r.covariance)
+        )
 
     def _odometry_covariance(self, track: Track, motion: Array) -> Array:
         s = self.settings.graph
@@ -237,7 +243,7 @@ class MapPipeline:
             stamp_ns=frame.stamp_ns,
             T_map_lidar=self.T_map_local @ state.T_local_lidar,
             T_map_odom=self.T_map_odom,
-            covariance=self._map_covariance if r is None else self._map_covariance + r.covariance,
+            covariance=self._covariance(track),
             state=track.state,
             degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
             correction=correction,

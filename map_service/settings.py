@@ -101,6 +101,8 @@ class LevelSettings(Model):
     sigmas: float = 2.5
     until_share: float = Field(default=0.3, description="of what is tolerable: where levelling ends")
     step_rad: float = 0.002
+    young_m: float = Field(default=30.0, description="a map of no more than this is levelled in larger steps")
+    young_step_m: float = 0.3
     step_m: float = Field(default=0.03, description="a step moves the robot by so much at least, near the origin")
 
 
@@ -227,6 +229,6 @@ class PipelineSettings(Model):
     gnss: GnssSettings = GnssSettings()
     level: LevelSettings = LevelSettings()
     loops: LoopSettings = LoopSettings()
-    drift_growth: float = Field(default=1.0, description="what new ground adds to the map's doubt, registrations")
+    doubt: float = Field(default=1.5, description="variance of a registration's error by its own account, from NEES")
     commit_frames: int = 20
     commit_s: float = 1.0
