@@ -147,3 +147,44 @@ def test_without_an_imu_the_last_twist_goes_on(enabled):
     np.testing.assert_allclose(motion.T_prev_lidar, step, atol=1e-6)
     np.testing.assert_allclose(motion.knots.translation_m[-1], step[:3, 3], atol=1e-3)
     assert np.linalg.norm((node.T_map_odom @ node.T_odom_lidar_at(start) @ se3.inv(poses[-1]))[:3, 3]) < 1e-6
+
+
+def test_a_pose_is_not_believed_along_what_the_lidar_did_not_observe():
+    node, drive = make_node(200.0), Drive(still_s=2.0)
+    original = node.on_odometry
+    along = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+
+    def told(reply):  # from scan 60 on it slides away forwards, and says so
+        from dataclasses import replace
+
+        if reply.seq > 60:
+            slide = se3.compose(np.eye(3), np.array([0.03 * (reply.seq - 60), 0.0, 0.0]))
+            reply = replace(reply, T_map_lidar=reply.T_map_lidar @ slide, degenerate_axes=along)
+        original(reply)
+
+    node.on_odometry = told  # type: ignore[method-assign]
+    T_imu_lidar = se3.inv(node.robot.T_lidar_imu)
+    for k, _, motion, _ in play(node, drive, 10.0):
+        a, b = (drive.T_odom_imu(t) @ T_imu_lidar for t in ((k - 1) * 0.1, k * 0.1))
+        error = se3.inv(se3.inv(a) @ b) @ motion.T_prev_lidar
+        if k > 60:
+            assert abs(error[0, 3]) < 0.01
+            assert np.linalg.norm(error[1:3, 3]) < 0.003
+
+
+def test_a_second_without_answers_costs_centimetres():
+    node, drive = make_node(200.0), Drive(still_s=2.0)
+    original = node.on_odometry
+    node.on_odometry = lambda reply: None if reply.seq % 30 >= 20 else original(reply)  # type: ignore[method-assign]
+    T_imu_lidar = se3.inv(node.robot.T_lidar_imu)
+    errors, before = [], None
+    for k, stamp_ns, _, _ in play(node, drive, 20.0):
+        T = node.T_odom_lidar_at(stamp_ns)
+        if k >= 60 and k % 30 == 21:
+            before = k, T
+        if before is not None and k - before[0] == 10:
+            a, b = (drive.T_odom_imu(t * 0.1) @ T_imu_lidar for t in (before[0], k))
+            error = se3.inv(se3.inv(a) @ b) @ se3.inv(before[1]) @ T
+            errors.append(np.linalg.norm(error[:3, 3]))
+    assert len(errors) >= 4
+    assert np.median(errors) < 0.02

@@ -36,6 +36,39 @@ def normal_equations(points, T, fits, noise):
     return H, b
 
 
+def spurious_information(points, T, fits, noise, draws: int, rng: np.random.Generator) -> np.ndarray:
+    """By drawing axes that waver as fits of n points do; fits: (n, mean, axes (3, 3) in columns, variances, is_plane).
+
+    Columns and variances (3,) ascend. The information of the wavering axes less that of the right ones, in the mean.
+    """
+    H = np.zeros((6, 6))
+    for p, (n, mean, axes, variances, plane) in zip(points, fits, strict=True):
+        q = T[:3, :3] @ p + T[:3, 3] - mean
+        own, thin, spread = (0, variances[0], variances[1]) if plane else (2, variances[1], variances[2])
+        axis = axes[:, own]
+        along = axis @ q
+        distance2, other = (along**2, q @ q - along**2) if plane else (q @ q - along**2, along**2)
+        variance = (thin + noise[0] ** 2) * (1 + (1 + other / (spread + 1e-4)) / n)
+        weight = 1 / (1 + distance2 / variance / noise[1] ** 2) / variance
+        tilt = max(thin, 2.5e-5) / (n - 3)
+        for _ in range(draws):
+            wavering = axis.copy()
+            for j in range(3):
+                if j != own:
+                    reach = variances[j] if plane else variances[2]
+                    wavering += axes[:, j] * rng.normal(0, np.sqrt(tilt / (reach + 1e-6)))
+            for direction in (wavering - axis,) if plane else _across(axes, wavering - axis):
+                a = T[:3, :3].T @ direction
+                J = np.concatenate([np.cross(p, a), a])
+                H += weight / draws * np.outer(J, J)
+    return H
+
+
+def _across(axes: np.ndarray, error: np.ndarray) -> list[np.ndarray]:
+    """A line's axis is off by `error`: what the two directions across it gain along it."""
+    return [axes[:, 2] * (axes[:, j] @ error) for j in (0, 1)]
+
+
 def room(rng: np.random.Generator, count: int, sigma_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Points on floor and walls of a 12 x 8 x 3 m room, and on six vertical poles: surfs (N, 3), corners (M, 3)."""
     u = rng.uniform(0, 1, (count, 2))

@@ -32,15 +32,13 @@ def test_a_start_far_askew_is_levelled_in_small_steps():
     assert tilt[2] == pytest.approx(TILT, rel=1e-3)
     assert tilt[-1] < 0.3 * TILT
     assert {c.cause for c in outcome.corrections} == {Cause.REGISTRATION}
-    settings = LevelSettings()
-    reach_m = 10 * 0.9  # where levelling may begin
-    assert max(c.rotation_rad for c in outcome.corrections) < 1.1 * max(settings.step_rad, settings.step_m / reach_m)
+    assert max(c.translation_m for c in outcome.corrections) < 1.1 * LevelSettings().young_step_m
 
 
 def test_levelling_turns_the_drive_and_does_not_bend_it():
     truth = ahead(80.0, 2.0)
     outcome = driven(truth, [], TILTED)
-    assert outcome.pipeline.statistics()["gravity_factors"] > 5
+    assert outcome.pipeline.statistics()["gravity_factors"] >= 2
     assert outcome.ate_m(outcome.final) < 1e-3
 
 
