@@ -35,6 +35,8 @@ DESKEW_OFF_WORSE_RATIO = 3.0
 # What the issue promises of T_odom_lidar against the IMU's own propagation, whatever happens.
 ODOM_STEP_M = 0.02
 ODOM_STEP_DEG = 0.3
+# Error of `odom` over a second without corrections, median.
+ALONE_1S_MEDIAN_M = 0.05
 # Drift along the way with wheels that are off by 1 % and no LiDAR, share of the way: no worse than the wheels' own.
 WHEELS_DRIFT_SHARE = 0.01
 # What a fault of the GNSS receiver (a jump of 15 m for 6 s, and its kin) may move the map.

@@ -32,6 +32,7 @@ from splitslam.wire import session_pb2 as pb
 
 TimedEvent = tuple[int, Event]
 Harm = Callable[[Iterator[TimedEvent]], Iterable[TimedEvent]]
+Arrives = Callable[[int], bool]
 
 
 @dataclass
@@ -71,8 +72,8 @@ class _Service:
 
     anchored = True
 
-    def __init__(self, pipeline: MapPipeline, beams: NDArray[np.float32], out: Replayed) -> None:
-        self._pipeline, self._beams, self._out = pipeline, beams, out
+    def __init__(self, pipeline: MapPipeline, beams: NDArray[np.float32], arrives: Arrives, out: Replayed) -> None:
+        self._pipeline, self._beams, self._arrives, self._out = pipeline, beams, arrives, out
         self._answers: list[Answer] = []
 
     def send(self, frame: pb.Frame) -> None:
@@ -84,7 +85,8 @@ class _Service:
         out.degenerate_axes.append(mapped.degenerate_axes)
         out.covariances.append(mapped.covariance)
         out.T_map_lidar.append(mapped.T_map_lidar)
-        self._answers.append(answer(messages.odometry(mapped), 0.0))
+        if self._arrives(mapped.seq):
+            self._answers.append(answer(messages.odometry(mapped), 0.0))
 
     def take_answers(self) -> list[Answer]:
         taken, self._answers = self._answers, []
@@ -123,8 +125,12 @@ def replay(
     max_scans: int | None = None,
     disable: tuple[str, ...] = ("loops",),
     robot: Robot | None = None,
+    arrives: Arrives = lambda seq: True,
 ) -> Replayed:
-    """Runs the recording through `harm` and both pipelines; robot: None for the robot file beside it."""
+    """Runs the recording through `harm` and both pipelines; robot: None for the robot file beside it.
+
+    arrives: which answers reach the robot.
+    """
     off = {part: None for part in ("imu", "gnss", "wheels") if part in disable}
     robot = (robot or load_robot(recording.with_suffix(".yaml"))).model_copy(update=off)
     out, metrics = Replayed(), EdgeMetrics()
@@ -134,7 +140,9 @@ def replay(
         edge = EdgePipeline(read.robot, EdgeSettings(), read.beam_elevations_rad, node)
         service = MapPipeline(read.robot, MapSettings(), _NoLoops(), frozenset(disable), edge.deskewer.name)
         metrics.drop_sources += [read.dropped, sequencer.dropped]
-        parts = Parts(sequencer, node, edge, _Service(service, read.beam_elevations_rad, out), _Sink(out), metrics)
+        parts = Parts(
+            sequencer, node, edge, _Service(service, read.beam_elevations_rad, arrives, out), _Sink(out), metrics
+        )
         loop = AgentLoop(parts, lockstep=True)
         loop.run([event] for event in harm(read.events()))
         assert loop.finish()
