@@ -102,6 +102,8 @@ def dump(pipeline: MapPipeline) -> bytes:
             "twist": state.twist.tolist(),
             "base_twist": state.base_twist.tolist(),
             "bad_frames": state.bad_frames,
+            "doubt": pipeline.tracker.doubt.dump(),
+            "found": pipeline.found,
             "slip": pipeline.drift.slip.tolist(),
             "T_map_local": pipeline.T_map_local.tolist(),
             "T_map_odom": pipeline.T_map_odom.tolist(),
@@ -155,6 +157,9 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         int(data["bad_frames"]),
         snapshot.last_seq,
     )
+    if "doubt" in data:  # sessions of the first release have none
+        pipeline.tracker.doubt.load(data["doubt"])
+        pipeline.found = bool(data["found"])
     if pipeline.gnss is not None and data["gnss"] is not None:
         pipeline.gnss.load(data["gnss"])
     pipeline.leveller.load(data["leveller"])

@@ -23,9 +23,9 @@ from map_service.levelling import Leveller
 from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import PipelineStatistics
-from map_service.settings import PipelineSettings
+from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
 from map_service.tracker import Track, Tracker, TrackerState
-from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
+from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot, State
 from splitslam import se3
 from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
@@ -56,6 +56,7 @@ class MapPipeline:
         self._map_covariance = np.eye(6) * 1e-8  # of the local map around the robot
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
+        self.found = False  # has the robot been lost, and found again, since the last keyframe?
         self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
         self.frames: list[FrameRecord] = []
         self.stats = PipelineStatistics()
@@ -74,13 +75,14 @@ class MapPipeline:
             moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
             self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
             self._map_covariance = self.drift.at(track.T_local_lidar, r.keyframes, self.keyframes.T_local)
+        found = None if track.T_found_carried is None else self._found(track, track.T_found_carried)
         if track.keyframe:
             self._add_keyframe(frame, track)
         cause = self._level(frame) if track.keyframe else None
         cause = self._add_fixes(frame, fixes, track, before, T_map_local) or cause
         cause = self._apply_loops(frame.seq) or cause
         correction = self._correct(cause) if cause else None
-        answer = self._answer(frame, track, correction, started, registered)
+        answer = self._answer(frame, track, found or correction, started, registered)
         self.frames.append(self.log.frame(answer, len(self.keyframes) - 1, self.graph.poses[-1]))
         return answer
 
@@ -94,9 +96,11 @@ class MapPipeline:
         else:
             motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
             covariance = self._odometry_covariance(track, motion)
-            self.graph.add_odometry(T_map_lidar, motion, covariance, self._covariance(track))
+            joint = self._since_lost(self.settings.graph)
+            self.graph.add_odometry(T_map_lidar, motion, covariance + joint, self._covariance(track))
             if self.gnss is not None:
-                self.gnss.moved(covariance)
+                self.gnss.moved(covariance + self._since_lost(self.settings.tracker.doubt))
+        self.found = False
         self.keyframes.add(frame, track)
         self.tracker.insert(index, track.T_local_lidar, track.corners_lidar, track.surfs_lidar)
         self.graph.optimise(corrected=False)
@@ -123,6 +127,23 @@ class MapPipeline:
         floor = np.diag(np.repeat([s.odometry_rotation_rad**2, translation**2], 3))
         return track.registration.covariance + floor + self.drift.slip
 
+    def _since_lost(self, doubt: GraphSettings | DoubtSettings) -> Array:
+        """(6, 6): what being lost adds to the covariance of the way since the last keyframe.
+
+        The robot was found in the map, so the graph doubts the joint by decimetres; of its way there nothing is known.
+        """
+        return np.diag(np.repeat([doubt.kidnap_rad**2, doubt.kidnap_m**2], 3)) * self.found
+
+    def _found(self, track: Track, T_found_carried: Array) -> CorrectionRecord:
+        """The robot stands elsewhere than it was carried: `odom` goes on as if nothing were, the jump is `map`'s."""
+        jump = self.T_map_local @ T_found_carried @ se3.inv(self.T_map_local)
+        self.T_map_odom = se3.orthonormalised(jump @ self.T_map_odom)
+        self.found = True
+        moved = se3.inv(track.T_local_lidar) @ T_found_carried @ track.T_local_lidar
+        correction = CorrectionRecord(Cause.RELOCALISE, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
+        self.stats.correction(correction)
+        return correction
+
     def _level(self, frame: FeatureFrame) -> Cause | None:
         """A step towards level, when `map` is not; the cause is `registration`, whose tilt has drifted or began so."""
         if frame.motion.velocity_known:
@@ -148,6 +169,9 @@ class MapPipeline:
             return None
         if before is None:
             self.gnss.reject("early", len(fixes))
+            return None
+        if track.state in (State.LOST, State.LOCALISING) or track.T_found_carried is not None:
+            self.gnss.reject("lost", len(fixes))
             return None
         antenna = np.asarray(self.robot.gnss.t_lidar_antenna_m, float)
         T_keyframe_map, T_odom_map = se3.inv(self.graph.poses[-1]), se3.inv(self.T_map_odom)

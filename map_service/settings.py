@@ -54,11 +54,60 @@ class RegistrationSettings(Model):
         return np.array([self.lever_m] * 3 + [1.0] * 3)
 
 
+class WideSearchSettings(Model):
+    """The search for the place of a scan around where it was expected."""
+
+    radius_m: float = 12.0
+    step_m: float = 1.0
+    yaw_step_rad: float = Field(default=0.09, description="all the way round")
+    coarse_corners: int = 150
+    coarse_surfs: int = 40
+    coarse_gate_m: float = 1.0
+    fine_gate_m: float = 0.4
+    starts: int = 24
+    start_apart_m: float = 1.1
+    start_apart_rad: float = 0.1
+    rough_points: int = 200
+    rough_sigma_m: float = Field(
+        default=0.15, description="points count as so inexact at first, which widens the basin"
+    )
+    finalists: int = 5
+    softenings: int = 3
+    fine_points: int = 1000
+    tilt_rad: float = 0.05
+    reach_m: float = Field(default=0.3, description="half of what registration's gate is wider than in tracking")
+    apart_m: float = Field(default=0.7, description="nearer than this it is the same place")
+
+
+class DoubtSettings(Model):
+    """When a pose is doubted, given up and found again; scores are shares of what this session's scans usually have."""
+
+    level_gain: float = 0.1
+    learn_scans: int = 10
+    doubt_share: float = Field(default=0.75, description="below it other places are looked at")
+    refuse_share: float = Field(default=0.5, description="below it the edge's motion carries the pose")
+    patience_scans: int = Field(default=2, description="refused so often and once more, the robot is lost")
+    found_share: float = Field(default=0.6, description="least score of a place that comes into question")
+    clear_ratio: float = Field(default=1.3, description="by which a place must beat all others")
+    apart_m: float = Field(default=0.7, description="nearer than this it is the same place")
+    confirm_scans: int = 3
+    hypotheses: int = Field(default=4, description="places that are followed at a time")
+    ambiguous_scans: int = Field(default=10, description="so long two places must fit to be alike")
+    search_scans: int = Field(
+        default=3, description="from the first search to the second; each wait is longer by so many"
+    )
+    search_limit_scans: int = 15
+    kidnap_m: float = Field(default=5.0, description="sigma of a pose that is not believed")
+    kidnap_rad: float = 1.0
+
+
 class TrackerSettings(Model):
     """Scan-to-map tracking and keyframes."""
 
     local_map: LocalMapSettings = LocalMapSettings()
     registration: RegistrationSettings = RegistrationSettings()
+    doubt: DoubtSettings = DoubtSettings()
+    search: WideSearchSettings = WideSearchSettings()
     keyframe_m: float = 0.9
     keyframe_rad: float = 0.18
     pose_rotation_rad: float = 0.0005
@@ -82,6 +131,8 @@ class GraphSettings(Model):
     odometry_rotation_rad: float = 5e-4
     odometry_translation_m: float = 0.003
     odometry_translation_share: float = 0.002
+    kidnap_rad: float = Field(default=0.03, description="doubt of the joint after the robot was lost and found")
+    kidnap_m: float = 0.3
     rebuild_m: float = 0.02
     rebuild_rad: float = 0.005
     report_m: float = 0.001

@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from map_service.doubt import Doubt, Verdict
 from map_service.local_map import LocalMap
 from map_service.registration import Prediction, Registration, RegistrationResult, deskew_again
 from map_service.settings import TrackerSettings
 from map_service.types import State
+from map_service.wide_search import Fit, Place, WideSearch
 from splitslam import se3
 from splitslam.features import FeatureFrame, FeatureSet
 
@@ -24,7 +26,10 @@ NO_IMU_SIGMA_RAD = 0.4  # an edge without an IMU says it does not know where dow
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """The tracker's answer: T_local_lidar (4, 4), how the registration went (None for the first frame)."""
+    """The tracker's answer: T_local_lidar (4, 4), how the registration went (None for the first frame).
+
+    T_found_carried (4, 4): by which `local` jumped for the robot when it was found after having been lost.
+    """
 
     T_local_lidar: Array
     registration: RegistrationResult | None
@@ -33,6 +38,7 @@ class Track:
     corners_lidar: NDArray[np.float32]
     surfs_lidar: NDArray[np.float32]
     first_again: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None  # keyframe 0, deskewed again
+    T_found_carried: Array | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -58,6 +64,8 @@ class Tracker:
         self.redeskew = redeskew
         self.local_map = LocalMap(settings.local_map)
         self.registration = Registration(settings.registration)
+        self.search = WideSearch(settings.search, self.registration)
+        self.doubt = Doubt(settings.doubt)
         self.state: TrackerState | None = None
         self._start_accelerations = np.repeat([settings.start_rotation_radps2, settings.start_acceleration_mps2], 3)
         self._first: FeatureFrame | None = None
@@ -67,12 +75,20 @@ class Tracker:
         if self.state is None:
             return self._begin(frame)
         state = self._across_a_hole(frame, self.state)
+        if self.doubt.state.lost:
+            return self._look_around(frame, self.state, state)
         result = self._align(frame, state)
         first_again = None
         if state.frames == 1 and not frame.motion.velocity_known and self.redeskew:
             result, first_again = self._bootstrap(frame, state, result)
         self._first = None
-        return replace(self._accept(frame, state, result), first_again=first_again)
+        verdict = self.doubt.weigh(Fit.of(result))
+        if verdict != Verdict.TRUSTED and self._is_elsewhere(frame, state, result):
+            return self._carry(frame, state, result)
+        if verdict == Verdict.REFUSED:
+            return self._carry(frame, state, result)
+        track = self._accept(frame, state, result, trusted=verdict != Verdict.DOUBTED)
+        return replace(track, first_again=first_again)
 
     def _begin(self, frame: FeatureFrame) -> Track:
         T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))
@@ -144,7 +160,61 @@ class Tracker:
                 break
         return result, points
 
-    def _accept(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult) -> Track:
+    # --- doubt ------------------------------------------------------------------------------------------------
+
+    def _is_elsewhere(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult) -> bool:
+        """A doubted scan is looked for around its place; if it belongs elsewhere, the robot is lost, or found there."""
+        places = self.search.places(self.local_map, frame, state.T_local_lidar @ frame.motion.T_prev_lidar)
+        here = self.search.at(self.local_map, frame, result.T_local_lidar)
+        if not self.doubt.is_elsewhere(here, places):
+            return False
+        self.doubt.lose(state.T_local_lidar)
+        self.doubt.consider(places)
+        return True
+
+    def _look_around(self, frame: FeatureFrame, before: TrackerState, state: TrackerState) -> Track:
+        """Lost: follows the places where the robot may be, and looks for more; `state` is `before` across a hole."""
+        doubt = self.doubt
+        T_carried = state.T_local_lidar @ frame.motion.T_prev_lidar
+        moved = se3.inv(before.T_local_lidar) @ state.T_local_lidar
+        there = [replace(state, T_local_lidar=h.T_local_lidar @ moved) for h in doubt.state.hypotheses]
+        results = [self._align(frame, at) for at in there]
+        found = doubt.confirm([Place(r.T_local_lidar, Fit.of(r)) for r in results])
+        if found is not None:
+            doubt.found()
+            track = self._accept(frame, replace(there[found], bad_frames=0), results[found])
+            return replace(track, T_found_carried=track.T_local_lidar @ se3.inv(T_carried))
+        if (centre := doubt.next_centre(T_carried)) is not None:
+            doubt.consider(self.search.places(self.local_map, frame, centre))
+        return self._carry(frame, state, results[0] if results else self._align(frame, state))
+
+    def _carry(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult) -> Track:
+        """The edge's motion carries a pose that is not believed: no keyframe, no axis observed, metres of doubt."""
+        doubt, motion = self.doubt, frame.motion
+        T = state.T_local_lidar @ motion.T_prev_lidar
+        covariance = doubt.carry(motion.T_prev_lidar, motion.covariance)
+        result = replace(result, T_local_lidar=T, covariance=covariance, degenerate_axes=np.eye(6))
+        status = State.DEGENERATE
+        if doubt.state.lost:
+            status = State.LOCALISING if any(h.confirmed > 0 for h in doubt.state.hypotheses) else State.LOST
+        interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
+        self.state = replace(
+            state,
+            T_local_lidar=T,
+            stamp_ns=frame.stamp_ns,
+            frames=state.frames + 1,
+            twist=se3.log(motion.T_prev_lidar) / interval_s,
+            base_twist=np.zeros(6),
+            seq=frame.seq,
+            hole_s=0.0,
+        )
+        return Track(T, result, status, False, frame.corners.points_lidar, frame.surfs.points_lidar)
+
+    # --- outcome ----------------------------------------------------------------------------------------------
+
+    def _accept(
+        self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult, trusted: bool = True
+    ) -> Track:
         s = self.settings
         share = result.inliers / max(result.features, 1)
         good = result.inliers >= s.min_inliers and share >= s.min_inlier_share
@@ -155,8 +225,9 @@ class Tracker:
         bad_frames = 0 if good else state.bad_frames + 1
         moved = se3.inv(state.T_local_keyframe) @ T
         new_ground = np.linalg.norm(moved[:3, 3]) > s.keyframe_m or se3.angle(moved) > s.keyframe_rad
-        keyframe = bool(frame.dense and good and new_ground)
+        keyframe = bool(frame.dense and good and trusted and new_ground)
         if bad_frames > s.lost_frames:
+            self.doubt.lose(T)
             status = State.LOST
         elif not good or len(result.degenerate_axes):
             status = State.DEGENERATE
@@ -187,6 +258,7 @@ class Tracker:
 
     def move(self, T_new_local: Array) -> None:
         """`local` is renamed: everything the tracker holds moves along."""
+        self.doubt.move(T_new_local)
         if self.state is not None:
             T = se3.orthonormalised(T_new_local @ self.state.T_local_lidar)
             self.state = replace(

@@ -6,7 +6,11 @@ import numpy as np
 
 from map_service.engine import SlamEngine
 from map_service.hello import SessionRequest
+from map_service.local_map import LocalMap
+from map_service.registration import Registration
+from map_service.settings import TrackerSettings
 from map_service.store import Opening
+from map_service.wide_search import WideSearch
 from splitslam import codec
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
 from splitslam.robot import Robot
@@ -29,6 +33,9 @@ def warm_up(engine: SlamEngine) -> None:
         payload = codec.encode(made, beams, _COLUMNS)
         frame = pb.Frame(seq=seq, stamp_ns=made.stamp_ns, dense=made.dense, payload=payload)
         pipeline.process(engine.decode(frame, request), [])
+    settings = TrackerSettings()
+    search = WideSearch(settings.search, Registration(settings.registration))
+    search.places(LocalMap(settings.local_map), _frame(1, beams), np.eye(4))  # a lost robot waits for no compiler
 
 
 def _frame(seq: int, beams_rad: np.ndarray) -> FeatureFrame:

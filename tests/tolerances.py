@@ -69,3 +69,5 @@ IMU_STEP_M = 0.01
 NO_IMU_STEP_M = 0.07
 # Wheels 1 % off, calibrated to half of that before the tunnel begins.
 TUNNEL_DRIFT_SHARE = 0.005
+# Of an online pose after a kidnapping of 5 m, once found: drift of ten seconds and the start's tilt.
+KIDNAP_FOUND_M = 0.2

@@ -86,3 +86,23 @@ def room(rng: np.random.Generator, count: int, sigma_m: float = 0.0) -> tuple[np
     which = rng.integers(0, len(poles), count // 4)
     corners = np.column_stack([poles[which], rng.uniform(0.2, 2.8, count // 4)])
     return surfs + rng.normal(0, sigma_m, surfs.shape), corners + rng.normal(0, sigma_m, corners.shape)
+
+
+def closeness(voxels, points, poses, gate_m):
+    """Point by point: the finest voxel with a fit, its distance, 1 - (d / gate)^2."""
+    s, found = voxels.settings, {}
+    for i in np.flatnonzero(voxels.geometry[:, 9]):
+        key = int(voxels.keys[i])
+        index = [((key >> shift) & ((1 << 20) - 1)) - (1 << 19) for shift in (40, 20, 0)]
+        found[(key >> 60, *index)] = voxels.geometry[i]
+    scores = np.zeros(len(poses))
+    for c, T in enumerate(poses):
+        for p in points.astype(float) @ T[:3, :3].T + T[:3, 3]:
+            for level in range(s.levels):
+                g = found.get((level, *np.floor(p / (s.voxel_m * 2**level)).astype(int)))
+                if g is not None:
+                    d, axis = p - g[:3], g[3:6]
+                    distance = abs(axis @ d) if g[9] == 1 else np.linalg.norm(np.cross(axis, d))
+                    scores[c] += max(0.0, 1.0 - (distance / gate_m) ** 2)
+                    break
+    return scores

@@ -1,0 +1,167 @@
+"""A robot that is put elsewhere, unfelt by its IMU, in the made room of naive.py."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from map_service import _search_kernels as kernels
+from map_service.doubt import Doubt, Verdict
+from map_service.local_map import LocalMap
+from map_service.loops import LoopVerifier
+from map_service.pipeline import MapPipeline
+from map_service.settings import DoubtSettings, LocalMapSettings, PipelineSettings
+from map_service.types import Cause, MapAnswer, State
+from map_service.wide_search import Fit, Place
+from splitslam import se3
+from splitslam.robot import Robot
+from tests.map_pipeline.naive import closeness, room
+from tests.map_pipeline.test_tracker import STEP, features, frame
+
+T_START = se3.compose(np.eye(3), np.array([-1.0, -0.5, 1.2]))
+KIDNAP = se3.exp(np.array([0, 0, 0.6, 1.5, -2.0, 0.0]))  # 2.5 m, 34 degrees
+USUAL = 20  # scans before anything happens
+
+
+class NoLoops(LoopVerifier):
+    def submit(self, job):
+        raise AssertionError("loops are off")
+
+
+def pipeline() -> MapPipeline:
+    return MapPipeline(Robot(imu=None, gnss=None), PipelineSettings(), NoLoops(), frozenset({"loops", "gnss"}))
+
+
+def truth(seq: int, kidnapped_at: int = USUAL + 1) -> np.ndarray:
+    T = T_START @ np.linalg.matrix_power(STEP, seq - 1)
+    return T if seq < kidnapped_at else T_START @ np.linalg.matrix_power(STEP, kidnapped_at - 1) @ KIDNAP @ (
+        np.linalg.matrix_power(STEP, seq - kidnapped_at)
+    )  # fmt: skip
+
+
+def drive(service: MapPipeline, seqs: range, rng: np.random.Generator) -> list[MapAnswer]:
+    return [service.process(frame(seq, truth(seq), rng)) for seq in seqs]
+
+
+def error_m(answer: MapAnswer) -> float:
+    return float(np.linalg.norm((se3.inv(answer.T_map_lidar) @ se3.inv(truth(1)) @ truth(answer.seq))[:3, 3]))
+
+
+def test_a_kidnapped_robot_is_lost_at_once_and_found_three_scans_later():
+    service = pipeline()
+    answers = drive(service, range(1, USUAL + 8), np.random.default_rng(4))
+    states = [a.state for a in answers[USUAL:]]
+    assert State.LOST not in [a.state for a in answers[:USUAL]]
+    assert states == [State.LOST, State.LOCALISING, State.LOCALISING, *[State.TRACKING] * 4]
+    assert max(error_m(a) for a in answers[:USUAL] + answers[USUAL + 3 :]) < 0.03
+
+
+def test_while_lost_the_covariance_covers_the_error_and_nothing_enters_the_map():
+    service = pipeline()
+    answers = drive(service, range(1, USUAL + 4), np.random.default_rng(4))
+    for answer in answers[USUAL : USUAL + 3]:
+        assert error_m(answer) > 2.0
+        assert np.sqrt(np.diag(answer.covariance)[3:]).min() > 2.0
+        assert len(answer.degenerate_axes) == 6
+        assert not answer.keyframe
+
+
+def test_the_jump_is_the_map_s_and_odom_never_notices():
+    service = pipeline()
+    answers = drive(service, range(1, USUAL + 8), np.random.default_rng(4))
+    odom = [se3.inv(a.T_map_odom) @ a.T_map_lidar for a in answers]
+    steps = [se3.inv(a) @ b for a, b in itertools.pairwise(odom)]
+    assert max(np.linalg.norm((se3.inv(STEP) @ step)[:3, 3]) for step in steps) < 0.03
+    corrections = [a.correction for a in answers if a.correction is not None]
+    assert [c.cause for c in corrections] == [Cause.RELOCALISE]
+    found = next(a for a in answers if a.correction is not None)
+    off = se3.inv(truth(found.seq, kidnapped_at=99)) @ truth(found.seq)
+    assert corrections[0].translation_m == pytest.approx(np.linalg.norm(off[:3, 3]), abs=0.05)
+
+
+def test_a_lost_session_goes_on_where_it_was_after_a_restart():
+    service = pipeline()
+    drive(service, range(1, USUAL + 3), np.random.default_rng(4))
+    doubt = Doubt(DoubtSettings())
+    doubt.load(json.loads(json.dumps(service.tracker.doubt.dump())))
+    assert doubt.state.lost
+    assert doubt.dump() == service.tracker.doubt.dump()
+    service.tracker.doubt = doubt
+    later = np.random.default_rng(5)
+    assert drive(service, range(USUAL + 3, USUAL + 5), later)[-1].state == State.TRACKING
+
+
+def test_someone_in_the_way_makes_no_lost_robot():
+    """For half a second three quarters of the points are on people, unknown to the map."""
+    service, rng = pipeline(), np.random.default_rng(4)
+    states = []
+    for seq in range(1, USUAL + 8):
+        seen = frame(seq, T_START @ np.linalg.matrix_power(STEP, seq - 1), rng)
+        if USUAL < seq <= USUAL + 5:
+            surfs = seen.surfs.points_lidar.copy()
+            surfs[: len(surfs) // 3] *= 0.4
+            seen = type(seen)(
+                seen.seq, seen.stamp_ns, seen.dense, seen.motion, seen.corners, features(surfs, seen.surfs.t_offset_ns)
+            )
+        states.append(service.process(seen).state)
+    assert State.LOST not in states
+    assert states[-1] == State.TRACKING
+
+
+def places(*scores: float) -> list[Place]:
+    return [Place(se3.compose(np.eye(3), np.array([5.0 * i, 0, 0])), Fit(s, 1500)) for i, s in enumerate(scores)]
+
+
+def lost_doubt() -> Doubt:
+    doubt = Doubt(DoubtSettings())
+    for _ in range(15):
+        assert doubt.weigh(Fit(0.8, 1500)) == Verdict.TRUSTED
+    doubt.lose(np.eye(4))
+    return doubt
+
+
+def test_of_two_rooms_alike_neither_is_believed_even_when_one_falls_behind():
+    doubt = lost_doubt()
+    doubt.consider(places(0.8, 0.78))
+    assert [doubt.confirm(places(0.8, 0.78)) for _ in range(12)] == [None] * 12
+    assert [doubt.confirm(places(0.8, 0.2)[: len(doubt.state.hypotheses)]) for _ in range(8)] == [None] * 8
+
+
+def test_a_place_that_stands_out_is_believed_after_three_scans():
+    doubt = lost_doubt()
+    doubt.consider(places(0.8, 0.5))
+    assert [doubt.confirm(places(0.8, 0.4)) for _ in range(3)] == [None, None, 0]
+
+
+def test_scans_with_many_more_features_have_a_level_of_their_own():
+    doubt = Doubt(DoubtSettings())
+    for _ in range(15):
+        doubt.weigh(Fit(0.8, 1500))
+    verdicts = [doubt.weigh(Fit(0.35, 7000)) for _ in range(15)]
+    assert verdicts == [Verdict.UNKNOWN] * 10 + [Verdict.TRUSTED] * 5
+    assert doubt.weigh(Fit(0.35, 1500)) == Verdict.REFUSED
+    assert doubt.weigh(Fit(0.55, 1500)) == Verdict.DOUBTED
+
+
+def test_new_ground_is_what_the_world_looks_like_after_some_doubt():
+    doubt = Doubt(DoubtSettings())
+    for _ in range(15):
+        doubt.weigh(Fit(0.8, 1500))
+    assert [doubt.weigh(Fit(0.5, 1500)) for _ in range(4)] == [Verdict.DOUBTED] * 3 + [Verdict.TRUSTED]
+
+
+def test_closeness_equals_its_naive_twin():
+    rng = np.random.default_rng(0)
+    local_map = LocalMap(LocalMapSettings())
+    surfs, corners = room(rng, 1500, 0.01)
+    local_map.insert(0, np.eye(4), corners.astype(np.float32), surfs.astype(np.float32))
+    seen = [points[::40].astype(np.float32) for points in room(rng, 1500, 0.01)]
+    poses = np.array([np.eye(4), se3.exp(np.array([0, 0, 0.1, 0.2, 0.1, 0])), KIDNAP])
+    for points, voxels in ((seen[0], local_map.surfs), (seen[1], local_map.corners)):
+        scores, v = np.zeros(3), voxels.settings
+        kernels.closeness(voxels.keys, voxels.geometry, points, poses, v.voxel_m, v.levels, 0.5, scores)
+        np.testing.assert_allclose(scores, closeness(voxels, points, poses, 0.5), rtol=1e-9)
+        assert scores[0] > 1.2 * scores[2] > 0
