@@ -92,7 +92,9 @@ class MapPipeline:
         T_map_lidar = self.T_map_local @ track.T_local_lidar
         index = len(self.keyframes)
         if track.registration is None:
-            self.graph.add_first(T_map_lidar, frame.motion.gravity_sigma_rad)
+            # a robot that stood is level but for its IMU's mounting, which is not GNSS's to correct
+            sigma, s = frame.motion.gravity_sigma_rad, self.settings.level
+            self.graph.add_first(T_map_lidar, sigma if sigma > s.stood_rad else min(sigma, s.stood_prior_rad))
         else:
             motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
             covariance = self._odometry_covariance(track, motion)

@@ -148,6 +148,8 @@ class LevelSettings(Model):
     alike: float = Field(default=10.0, description="so many neighbours have the same error of gravity")
     mounting_rad: float = Field(default=0.01, description="how well T_lidar_imu is believed")
     tolerable_rad: float = 0.035
+    stood_rad: float = Field(default=0.05, description="gravity at the first frame is surer than this: the robot stood")
+    stood_prior_rad: float = 0.002
     near_rad: float = Field(default=0.005, description="the same while levelling moves nothing by more than a step")
     sigmas: float = 2.5
     until_share: float = Field(default=0.3, description="of what is tolerable: where levelling ends")

@@ -30,6 +30,7 @@ from splitslam.scan import ImuSamples, WheelSamples
 Array = NDArray[np.float64]
 INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
 _STILL_GYRO_RADPS = 0.03
+_STILL_SAMPLES = 8  # in the first scan: an IMU of 80 Hz and up can tell
 _UNKNOWN_TILT_RAD, _MOVING_TILT_RAD = 0.5, 0.1
 _LEVEL_NS = 100_000_000
 _FIRST_READING_NS = 50_000_000
@@ -256,7 +257,7 @@ class ImuNode:
         accel, gyro = window.accel_mps2.mean(axis=0), window.gyro_radps.mean(axis=0)
         g = self.robot.gravity_mps2
         spread = float(np.linalg.norm(window.accel_mps2.std(axis=0)))
-        still = len(window.stamps_ns) >= 20 and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
+        still = len(window.stamps_ns) >= _STILL_SAMPLES and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
         excess = abs(float(np.linalg.norm(accel)) - g) / g
         self._tilt_sigma_rad = _UNKNOWN_TILT_RAD if self._blind else max(0.01, excess) if still else _MOVING_TILT_RAD
         up_lidar = self.T_lidar_imu[:3, :3] @ accel
