@@ -257,7 +257,9 @@ class ImuNode:
         accel, gyro = window.accel_mps2.mean(axis=0), window.gyro_radps.mean(axis=0)
         g = self.robot.gravity_mps2
         spread = float(np.linalg.norm(window.accel_mps2.std(axis=0)))
-        still = len(window.stamps_ns) >= _STILL_SAMPLES and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
+        still = (
+            len(window.stamps_ns) >= _STILL_SAMPLES and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
+        )
         excess = abs(float(np.linalg.norm(accel)) - g) / g
         self._tilt_sigma_rad = _UNKNOWN_TILT_RAD if self._blind else max(0.01, excess) if still else _MOVING_TILT_RAD
         up_lidar = self.T_lidar_imu[:3, :3] @ accel

@@ -5,40 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from map_service import _kernels as kernels
-from map_service.local_map import LocalMap, VoxelMap
-from map_service.settings import LocalMapSettings, VoxelSettings
+from map_service.local_map import LocalMap
+from map_service.settings import LocalMapSettings
 from splitslam import se3
-from tests.map_pipeline.naive import room, spurious_information
 from tests.map_pipeline.test_registration import align
 
 NONE = np.zeros((0, 3), np.float32)
-
-
-@pytest.mark.parametrize("kind", [kernels.PLANE, kernels.LINE])
-def test_spurious_information_is_what_wavering_axes_make(kind):
-    rng = np.random.default_rng(3)
-    surfs, corners = room(rng, 3000, 0.01)
-    points = surfs if kind == kernels.PLANE else corners
-    voxels = VoxelMap(VoxelSettings() if kind == kernels.PLANE else VoxelSettings(levels=2, min_points=5), kind)
-    voxels.insert(points, 0)
-    T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.02]))
-    lidar = (points[::40] - T[:3, 3]) @ T[:3, :3]
-    slots, noise = np.empty(len(lidar), np.int64), np.array([0.02, 1.5])
-    voxels.match(lidar @ T[:3, :3].T + T[:3, 3], 0.5, slots)
-    hit = slots >= 0
-    assert hit.sum() > 15
-    H = np.zeros((6, 6))
-    kernels.spurious(voxels.geometry, voxels.moments, lidar, T, slots, noise, H)
-    fits = []
-    for g, n in zip(voxels.geometry[slots[hit]], voxels.moments[slots[hit], 0], strict=True):
-        normal, longest = (g[3:6], g[10:13]) if kind == kernels.PLANE else (None, g[3:6])
-        if normal is None:
-            normal = np.linalg.svd(longest[None])[2][1]
-        axes = np.column_stack([normal, np.cross(longest, normal), longest])
-        fits.append((n, g[:3], axes, g[6:9], kind == kernels.PLANE))
-    drawn = spurious_information(lidar[hit], T, fits, noise, 400, rng)
-    np.testing.assert_allclose(np.diag(H), np.diag(drawn), rtol=0.15)
 
 
 def tunnel(rng: np.random.Generator, count: int, from_m: float, to_m: float, sigma_m: float = 0.02) -> np.ndarray:

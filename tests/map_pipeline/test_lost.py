@@ -8,17 +8,14 @@ import json
 import numpy as np
 import pytest
 
-from map_service import _search_kernels as kernels
 from map_service.doubt import Doubt, Verdict
-from map_service.local_map import LocalMap
 from map_service.loops import LoopVerifier
 from map_service.pipeline import MapPipeline
-from map_service.settings import DoubtSettings, LocalMapSettings, PipelineSettings
+from map_service.settings import DoubtSettings, PipelineSettings
 from map_service.types import Cause, MapAnswer, State
 from map_service.wide_search import Fit, Place
 from splitslam import se3
 from splitslam.robot import Robot
-from tests.map_pipeline.naive import closeness, room
 from tests.map_pipeline.test_tracker import STEP, features, frame
 
 T_START = se3.compose(np.eye(3), np.array([-1.0, -0.5, 1.2]))
@@ -151,17 +148,3 @@ def test_new_ground_is_what_the_world_looks_like_after_some_doubt():
     for _ in range(15):
         doubt.weigh(Fit(0.8, 1500))
     assert [doubt.weigh(Fit(0.5, 1500)) for _ in range(4)] == [Verdict.DOUBTED] * 3 + [Verdict.TRUSTED]
-
-
-def test_closeness_equals_its_naive_twin():
-    rng = np.random.default_rng(0)
-    local_map = LocalMap(LocalMapSettings())
-    surfs, corners = room(rng, 1500, 0.01)
-    local_map.insert(0, np.eye(4), corners.astype(np.float32), surfs.astype(np.float32))
-    seen = [points[::40].astype(np.float32) for points in room(rng, 1500, 0.01)]
-    poses = np.array([np.eye(4), se3.exp(np.array([0, 0, 0.1, 0.2, 0.1, 0])), KIDNAP])
-    for points, voxels in ((seen[0], local_map.surfs), (seen[1], local_map.corners)):
-        scores, v = np.zeros(3), voxels.settings
-        kernels.closeness(voxels.keys, voxels.geometry, points, poses, v.voxel_m, v.levels, 0.5, scores)
-        np.testing.assert_allclose(scores, closeness(voxels, points, poses, 0.5), rtol=1e-9)
-        assert scores[0] > 1.2 * scores[2] > 0
