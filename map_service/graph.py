@@ -39,6 +39,8 @@ class PoseGraph:
         thresholds.insert(("z", np.repeat([settings.relinearise_enu_rad, np.inf], 3)))
         parameters.setRelinearizeThreshold(thresholds)
         parameters.relinearizeSkip = 1
+        # what a tunnel leaves open meets factors of 0.1 mrad: beyond what Cholesky's squared condition number bears
+        parameters.setFactorization("QR")
         self._isam = gtsam.ISAM2(parameters)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._alive: list[Callable[..., Array]] = []  # gtsam keeps no reference to a Python error function

@@ -352,7 +352,7 @@ class ImuNode:
         anchor = self._anchor
         assert anchor is not None
         state = replace(anchor, stamp_ns=stamp_ns, tilt_sigma_rad=self._tilt_sigma_rad)
-        self.graph.start(state, T_server_imu, self._tilt_sigma_rad)
+        self.graph.start(state, T_server_imu, max(self._tilt_sigma_rad, _MOVING_TILT_RAD))
         self._started = True
 
     def _restart(self, stamp_ns: int, anchor: NavigationState, T_server_imu: Array) -> None:
