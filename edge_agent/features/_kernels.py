@@ -62,34 +62,59 @@ def gather(cells, points, out_points, out_range, out_column, source, ring_start)
     return n
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def smoothness(range_m, curvature):
-    """curvature[i] = (sum of the ten neighbours' ranges - 10 range[i])^2, m^2; zero within 5 of the array's ends."""
-    n = len(range_m)
-    curvature[: min(5, n)] = 0.0
-    curvature[max(n - 5, 0) :] = 0.0
-    for i in range(5, n - 5):
-        d = range_m[i - 5] + range_m[i - 4] + range_m[i - 3] + range_m[i - 2] + range_m[i - 1]
-        d += range_m[i + 1] + range_m[i + 2] + range_m[i + 3] + range_m[i + 4] + range_m[i + 5]
-        d -= 10.0 * range_m[i]
-        curvature[i] = d * d
+@njit(cache=True, nogil=True)
+def differences(range_q, ring_start, d):
+    """d[i] = |sum of the ten neighbours' ranges - 10 range[i]| (its square is LOAM's curvature); 0 near a ring's ends.
+
+    range_q, d (M,) int32, 1/1024 m; ring_start (rings + 1,) int32.
+    """
+    for row in range(len(ring_start) - 1):
+        start, end = np.int64(ring_start[row]), np.int64(ring_start[row + 1])
+        d[start : min(start + 5, end)] = 0
+        d[max(end - 5, start) : end] = 0
+        for i in range(start + 5, end - 5):
+            total = range_q[i - 5] + range_q[i - 4] + range_q[i - 3] + range_q[i - 2] + range_q[i - 1]
+            total += range_q[i + 1] + range_q[i + 2] + range_q[i + 3] + range_q[i + 4] + range_q[i + 5]
+            d[i] = abs(total - 10 * range_q[i])
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def unreliable(range_m, column, masked):
-    """masked[i] = 1 for points that may be occluded from elsewhere and for beams nearly parallel to the surface."""
-    n = len(range_m)
-    masked[:] = 0
-    for i in range(5, n - 6):
-        near, far = range_m[i], range_m[i + 1]
-        if abs(np.int64(column[i + 1]) - np.int64(column[i])) < 10:
-            if near - far > 0.3:
-                masked[i - 5 : i + 1] = 1
-            elif far - near > 0.3:
-                masked[i + 1 : i + 7] = 1
-        limit = 0.02 * near
-        if abs(range_m[i - 1] - near) > limit and abs(far - near) > limit:
-            masked[i] = 1
+@njit(cache=True, nogil=True)
+def unreliable(range_q, column, ring_start, occlusion, marks):
+    """marks[i] = 1 for points that may be occluded from elsewhere and for beams nearly parallel to the surface.
+
+    Parallel: both neighbours' ranges differ by more than 2 % (50 times the difference is above the range).
+    """
+    marks[:] = 0
+    for row in range(len(ring_start) - 1):
+        for i in range(np.int64(ring_start[row]) + 5, np.int64(ring_start[row + 1]) - 6):
+            before, here, after = np.int64(range_q[i - 1]), np.int64(range_q[i]), np.int64(range_q[i + 1])
+            if np.int64(column[i + 1]) - np.int64(column[i]) < 10:
+                if here - after > occlusion:
+                    marks[i - 5 : i + 1] = 1
+                elif after - here > occlusion:
+                    marks[i + 1 : i + 7] = 1
+            if 50 * abs(before - here) > here and 50 * abs(after - here) > here:
+                marks[i] = 1
+
+
+@njit(cache=True, nogil=True)
+def candidates(d, ring_start, corner, flat, sectors, marks, sector):
+    """Adds to marks (1: masked) 2 for d > corner and 4 for d < flat, where not masked and inside a sector (7: none).
+
+    LIO-SAM cuts a ring's points from the 6th to the 7th last into equal sectors.
+    """
+    sector[:] = 7
+    for row in range(len(ring_start) - 1):
+        start = np.int64(ring_start[row]) + 5
+        length = np.int64(ring_start[row + 1]) - 6 - start
+        for j in range(sectors):
+            for i in range(start + length * j // sectors, start + length * (j + 1) // sectors):
+                sector[i] = j
+                if marks[i] == 0:
+                    if d[i] > corner:
+                        marks[i] = 2
+                    elif d[i] < flat:
+                        marks[i] = 4
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
