@@ -130,6 +130,24 @@ class Stream:
             await self._edge()
         return done
 
+    async def feed(self, beats: Beats, limit: int = 1000) -> None:
+        """Sends beats without TLAST and takes nothing: a packet that breaks off."""
+        d = self.dut
+        d.s_axis_tlast.value = 0
+        d.m_axis_tready.value = 0
+        for word in to_ints(beats):
+            d.s_axis_tdata.value = word
+            d.s_axis_tvalid.value = 1
+            taken = False
+            for _ in range(limit):
+                await Timer(1, "ns")
+                taken = bool(int(d.s_axis_tready.value))
+                await self._edge()
+                if taken:
+                    break
+            assert taken, "hung"
+        d.s_axis_tvalid.value = 0
+
     async def _clock(self) -> None:
         await Timer(1, "ns")
         await self._edge()
