@@ -77,7 +77,7 @@ module deskew_core (
   for (genvar c = 0; c < 3; c++) begin : g_coordinate
     float_to_fixed convert (
         .clk,
-        .float(beat[c*32+:32]),
+        .number(beat[c*32+:32]),
         .q(fixed[c*24+:24]),
         .fits(fits[c])
     );

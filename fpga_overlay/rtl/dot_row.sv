@@ -20,18 +20,20 @@ module dot_row (
 
   // 1: products, 2^-39 m and 2^-22 m
   logic signed [43:0] x_low, y_low, z_low;
-  logic signed [32:0] x_high, y_high, z_high;
+  logic signed [33:0] x_high, y_high, z_high;
   logic signed [26:0] t;
   // 2, 3: sums of products and translation (2^-18 m = 16 * 2^-22 m)
   logic signed [44:0] xy_low;
   logic signed [43:0] z_low_q;
-  logic signed [33:0] xy_high;
-  logic signed [33:0] zt_high;
+  logic signed [34:0] xy_high;
+  logic signed [34:0] zt_high;
   logic signed [45:0] low;
   logic signed [34:0] high;
   // 4: total, 2^-22 m; 5: rounded to 2^-14 m; 6: saturated
-  logic signed [35:0] total;
-  logic signed [28:0] rounded;
+  logic signed [34:0] total;
+  logic signed [27:0] rounded;
+  wire [4:0] above = rounded[27:23];  // all alike when 24 bits are enough; -2^23 is outside, too
+  wire is_inside = (above == '0) || (above == '1 && |rounded[22:0]);
 
   always_ff @(posedge clk) begin
     x_low  <= mx * $signed({1'b0, x[16:0]});
@@ -44,18 +46,17 @@ module dot_row (
 
     xy_low  <= 45'(x_low) + 45'(y_low);
     z_low_q <= z_low;
-    xy_high <= 34'(x_high) + 34'(y_high);
-    zt_high <= 34'(z_high) + 34'($signed({t, 4'b0}));
+    xy_high <= 35'(x_high) + 35'(y_high);
+    zt_high <= 35'(z_high) + 35'($signed({t, 4'b0}));
 
     low  <= 46'(xy_low) + 46'(z_low_q);
-    high <= 35'(xy_high) + 35'(zt_high);
+    high <= xy_high + zt_high;
 
-    total   <= 36'(high) + 36'($signed(low[45:17]));
-    rounded <= 29'($signed(total[35:8])) + 29'(total[7]);
+    total   <= high + 35'($signed(low[45:17]));
+    rounded <= 28'($signed(total[34:8])) + 28'(total[7]);
 
-    if (rounded > 29'(LIMIT)) moved <= LIMIT;
-    else if (rounded < -29'(LIMIT)) moved <= -LIMIT;
-    else moved <= rounded[23:0];
+    if (is_inside) moved <= rounded[23:0];
+    else moved <= rounded[27] ? -LIMIT : LIMIT;
   end
 
   wire unused = &{1'b0, low[16:0], total[6:0]};

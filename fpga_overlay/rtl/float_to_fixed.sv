@@ -5,15 +5,15 @@
 
 module float_to_fixed (
     input  wire                clk,
-    input  wire         [31:0] float,
+    input  wire         [31:0] number,
     output logic signed [23:0] q,
     output logic               fits
 );
-  // float = +-significand * 2^(exponent - 150); in 2^-14 m: the significand shifted right by 136 - exponent, >= 1.
+  // number = +-significand * 2^(exponent - 150); in 2^-14 m: the significand shifted right by 136 - exponent, >= 1.
   localparam logic [7:0] FIRST_TOO_LARGE = 8'd136;
 
-  wire [ 7:0] exponent = float[30:23];
-  wire [22:0] fraction = float[22:0];
+  wire [ 7:0] exponent = number[30:23];
+  wire [22:0] fraction = number[22:0];
   wire [ 7:0] right = FIRST_TOO_LARGE - 8'd1 - exponent;  // shift beyond the first place
 
   // 1: what to shift and how far. Below, bit 0 is the half that rounding looks at. Denormals go far below it.
@@ -35,7 +35,7 @@ module float_to_fixed (
   always_ff @(posedge clk) begin
     significand <= {1'b1, fraction};
     distance    <= (right > 8'd24) ? 5'd24 : right[4:0];
-    negative    <= {negative[1:0], float[31]};
+    negative    <= {negative[1:0], number[31]};
     too_large       <= {too_large[1:0], exponent >= FIRST_TOO_LARGE || (exponent == FIRST_TOO_LARGE - 8'd1 && &fraction)};
 
     coarse <= significand >> {distance[4:2], 2'b00};

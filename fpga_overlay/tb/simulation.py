@@ -104,7 +104,7 @@ def simulate(
         raise SimulationFailed(f"{test_module} on {top}: {error}\n{_tail(log)}") from error
     if failed or not ran:
         raise SimulationFailed(f"{test_module} on {top}: {failed} of {ran} failed\n{_tail(log)}")
-    #shutil.rmtree(work)
+    shutil.rmtree(work)
 
 
 def _compile(top: str, arguments: list[str], folder: Path) -> None:
