@@ -10,11 +10,11 @@ module ring_counters #(
     input  wire                 clear,
     output wire [         11:0] count
 );
-    (* ram_style = "distributed" *) reg [11:0] counts[0:(1<<RING_BITS)-1];
+  (* ram_style = "distributed" *) logic [11:0] counts[0:(1<<RING_BITS)-1];
 
-    assign count = counts[ring];
+  assign count = counts[ring];
 
-    always_ff @(posedge clk) if (add || clear) counts[ring] <= clear ? 12'd0 : count + 12'd1;
+  always_ff @(posedge clk) if (add || clear) counts[ring] <= clear ? 12'd0 : count + 12'd1;
 endmodule
 
 `default_nettype wire
