@@ -258,10 +258,13 @@ module feature_core #(
   end
 
   stream_fifo #(
-      .WIDTH(129)
+      .WIDTH(129),
+      .DEPTH(32),
+      .ROOM (16)    // the rest is for the records of the cells under way
   ) answers (
       .clk,
       .rst_n,
+      .reserve(out_valid),
       .write(out_valid),
       .write_data({out_last, out_data}),
       .room,

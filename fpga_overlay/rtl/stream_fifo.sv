@@ -1,10 +1,12 @@
 // Output FIFO of a pipeline that never stops. Who puts a beat into the pipeline promises its write (`reserve`) and may
-// do so only while there is `room`; so back-pressure stops what enters and never what is under way.
+// do so only while there is `room`; so back-pressure stops what enters and never what is under way. Who cannot tell
+// what it will write promises at the write and sets ROOM lower by what may be under way.
 `default_nettype none
 
 module stream_fifo #(
     parameter int WIDTH = 129,
-    parameter int DEPTH = 64   // a power of two, above the pipeline's length for one beat a clock
+    parameter int DEPTH = 64,  // a power of two, above the pipeline's length for one beat a clock
+    parameter int ROOM = DEPTH - 1  // promised beats below which there is room
 ) (
     input  wire              clk,
     input  wire              rst_n,
@@ -30,7 +32,7 @@ module stream_fifo #(
 
   always_ff @(posedge clk) begin
     // Looks at what was promised a clock ago: one more may have been since.
-    room     <= promised < (A + 1)'(DEPTH - 1);
+    room     <= promised < (A + 1)'(ROOM);
     promised <= promised + (A + 1)'(reserve) - (A + 1)'(take);
     written  <= written + (A + 1)'(write);
     taken    <= taken + (A + 1)'(take);

@@ -6,7 +6,7 @@ import pytest
 
 from fpga_overlay.tb.simulation import simulate
 
-BENCH = "fpga_overlay.tb.feature_core_bench"
+BENCH = "fpga_overlay.tb.feature_core"
 SIZES = {"one bank": (4, 32, 4096), "four banks": (8, 64, 64), "sixteen banks": (2, 256, 16)}
 
 
