@@ -1,4 +1,4 @@
-"""What the feature core must do, on the simulator; test_feature_core.py builds and runs it."""
+"""cocotb: the feature core, bit for bit against the golden model."""
 
 from __future__ import annotations
 
@@ -14,33 +14,16 @@ from fpga_overlay.golden import deskew, features, packet
 from fpga_overlay.golden.deskew import DeskewedPoints
 from fpga_overlay.golden.packet import Beats, Header
 from fpga_overlay.tb import images
-from fpga_overlay.tb.stream import IDLE_PATTERNS, Stream, pattern
+from fpga_overlay.tb.compare import Exchange, check, go_on
+from fpga_overlay.tb.stream import IDLE_PATTERNS, Stream
 
 RINGS, COLUMNS = int(os.environ["DUT_RINGS"]), int(os.environ["DUT_COLUMNS"])
 FULL = Header(RINGS, COLUMNS)
 NOTHING = images.points_of(np.zeros(0), np.zeros(0), np.zeros(0))
 
-Packets = list[tuple[Beats, Beats]]  # to the core, back
 
-
-def packet_of(header: Header, points: DeskewedPoints) -> tuple[Beats, Beats]:
+def packet_of(header: Header, points: DeskewedPoints) -> Exchange:
     return deskew.answer_of(header, points), features.answer_to(header, points)
-
-
-async def check(dut: SimHandleBase, packets: Packets, idle: str = "never", stall: str = "never", seed: int = 0) -> Stream:
-    """Sends the packets through a core fresh out of reset and compares every beat."""
-    stream = Stream(dut)
-    await stream.reset()
-    await compare(stream, packets, idle, stall, seed)
-    return stream
-
-
-async def compare(stream: Stream, packets: Packets, idle: str = "never", stall: str = "never", seed: int = 0) -> None:
-    answers = await stream.run([sent for sent, _ in packets], pattern(idle, seed), pattern(stall, seed + 1))
-    for k, (answer, (_, expected)) in enumerate(zip(answers, packets, strict=True)):
-        assert len(answer) == len(expected), f"packet {k}: {len(answer)} beats, expected {len(expected)}"
-        wrong = np.flatnonzero((answer != expected).any(axis=1))
-        assert not len(wrong), f"packet {k}, beat {wrong[0]} of {len(wrong)} wrong ones: {answer[wrong[0]]}, expected {expected[wrong[0]]}"
 
 
 @cocotb.test()
@@ -143,20 +126,20 @@ async def bypassed_empty_and_bad_packets_leave_no_trace(dut: SimHandleBase, paus
     await check(dut, packets, pauses, pauses, seed=2)
 
 
-def refused_by_the_first_core(status: int, header: Beats) -> tuple[Beats, Beats]:
+def refused_by_the_first_core(status: int, header: Beats) -> Exchange:
     beats = np.concatenate([header, np.zeros((2, 4), np.uint32)])
     beats[2, 0] = packet.MAGIC << 16 | packet.VERSION << 8 | status
     return beats, beats
 
 
-def too_large(header: Header, points: DeskewedPoints) -> tuple[Beats, Beats]:
+def too_large(header: Header, points: DeskewedPoints) -> Exchange:
     sent = deskew.answer_of(header, points)
     back = sent.copy()
     back[-2, 0] |= packet.BAD_GEOMETRY
     return sent, back
 
 
-def ill_at_the_end(header: Header, points: DeskewedPoints) -> tuple[Beats, Beats]:
+def ill_at_the_end(header: Header, points: DeskewedPoints) -> Exchange:
     """Points that are followed by a trailer with an error."""
     sent = deskew.answer_of(header, points)
     sent[-2, 0] |= packet.TRUNCATED
@@ -203,7 +186,7 @@ async def a_reset_at_any_time_leaves_an_empty_core(dut: SimHandleBase, moment: i
 async def a_scan_takes_a_clock_a_point_and_a_clock_a_cell(dut: SimHandleBase) -> None:
     packets = [packet_of(FULL, images.scan(FULL, 10, filled=1.0, repeated=0.0))]
     stream = await check(dut, packets)
-    await compare(stream, packets)  # the first one waited for the wipe after reset
+    await go_on(stream, packets)  # the first one waited for the wipe after reset
     assert stream.first_in is not None
     clocks = stream.last_out - stream.first_in + 1
     assert clocks <= 2 * RINGS * COLUMNS + 8 * RINGS + 50, clocks
