@@ -1,4 +1,4 @@
-"""cocotb: the arithmetic blocks of the deskew core alone, on corner cases and random numbers. A test for each module."""
+"""cocotb: the arithmetic blocks of the deskew core alone, a test for each: corner cases and random numbers."""
 
 from __future__ import annotations
 
@@ -69,7 +69,9 @@ async def column_of_azimuth(dut):
 async def dot_row(dut):
     """Random numbers and the ends of every format, saturation included, against Python's integers."""
     ends = np.array([-(1 << 26), (1 << 26) - 1, -1, 0, 1, 1 << 25])
-    m = np.where(RNG.random((4_000, 4)) < 0.3, RNG.choice(ends, (4_000, 4)), RNG.integers(-(1 << 26), 1 << 26, (4_000, 4)))
+    m = np.where(
+        RNG.random((4_000, 4)) < 0.3, RNG.choice(ends, (4_000, 4)), RNG.integers(-(1 << 26), 1 << 26, (4_000, 4))
+    )
     m[::2] >>= RNG.integers(0, 12, (2_000, 1))
     p = np.where(RNG.random((4_000, 3)) < 0.3, RNG.choice([-LARGEST, LARGEST, 0, 1 << 17, -1], (4_000, 3)), 0)
     p = np.where(p == 0, RNG.integers(-LARGEST, LARGEST + 1, (4_000, 3)), p)

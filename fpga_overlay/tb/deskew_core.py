@@ -12,7 +12,9 @@ from fpga_overlay.golden import packet
 from fpga_overlay.golden.packet import Beats, Header
 from fpga_overlay.tb import packets
 from fpga_overlay.tb.packets import Packet
+from fpga_overlay.tb.scan import turning_scan
 from fpga_overlay.tb.stream import IDLE_PATTERNS, Stream, pattern
+from tests import tolerances
 
 SEED = int(os.environ.get("SEED", "7"))
 
@@ -21,9 +23,8 @@ async def check(dut: SimHandleBase, sent: list[Beats], expected: list[Beats], id
     """Sends packets back to back into a core fresh from reset and compares every beat that comes back."""
     stream = Stream(dut)
     await stream.reset()
-    for n, (got, want) in enumerate(
-        zip(await stream.run(sent, pattern(idle, 1), pattern(stall, 2)), expected, strict=True)
-    ):
+    answers = await stream.run(sent, pattern(idle, 1), pattern(stall, 2))
+    for n, (got, want) in enumerate(zip(answers, expected, strict=True)):
         assert got.shape == want.shape, f"packet {n}: {len(got)} beats, expected {len(want)}"
         wrong = np.flatnonzero((got != want).any(axis=1))
         assert not len(wrong), (
@@ -50,6 +51,14 @@ async def answers_as_the_golden_model(dut, idle, stall, size):
     await check_sound(dut, sent, idle, stall)
 
 
+@cocotb.test()
+async def packets_of_different_images_do_not_mix(dut):
+    """Each packet's rings and columns are its own, though the one before is still on the way."""
+    rng = np.random.default_rng(SEED)
+    sizes = [packets.SIZES[n % 3] for n in range(9)]
+    await check_sound(dut, [packets.random_packet(rng, 15, n % 2, size) for n, size in enumerate(sizes)])
+
+
 def random_shape(rng: np.random.Generator, size: tuple[int, int]) -> Packet:
     return packets.random_packet(rng, int(rng.integers(0, 70)), int(rng.integers(0, 9)), size)
 
@@ -59,7 +68,9 @@ async def every_27_bit_table_is_followed_to_the_bit(dut):
     rng = np.random.default_rng(SEED)
     table = packets.any_table(rng, packets.breaks(rng, 40, 1 << 22))
     ticks = rng.integers(0, 1 << 22, 400)
-    await check_sound(dut, [one(packets.points_at(rng.normal(0, 100, (400, 3)), rng.integers(0, 16, 400), ticks), table)])
+    await check_sound(
+        dut, [one(packets.points_at(rng.normal(0, 100, (400, 3)), rng.integers(0, 16, 400), ticks), table)]
+    )
 
 
 @cocotb.test()
@@ -140,7 +151,9 @@ async def numbers_that_are_none_make_a_point_unusable(dut):
     """NaN of all kinds, infinities, zeros, denormals, and both sides of every limit of the formats."""
     below_512 = np.nextafter(np.float32(512), np.float32(0))
     rounds_up = np.float32(512 - 2**-15)
-    values = np.float32([np.nan, np.inf, 0, 1e-45, 1e-38, 2**-15, 2**-16, 255.99, 256, 511.9, below_512, rounds_up, 512])
+    values = np.float32(
+        [np.nan, np.inf, 0, 1e-45, 1e-38, 2**-15, 2**-16, 255.99, 256, 511.9, below_512, rounds_up, 512]
+    )
     values = np.concatenate([values, -values, np.float32([1e9, 3.4e38, 1.5, np.nextafter(np.float32(2**-15), 0)])])
     signalling = np.array([0x7F800001, 0xFFC00001], np.uint32).view(np.float32)
     values = np.concatenate([values, signalling])
@@ -154,7 +167,9 @@ async def numbers_that_are_none_make_a_point_unusable(dut):
 @cocotb.test()
 async def rings_outside_of_the_image_are_marked(dut):
     rng = np.random.default_rng(SEED)
-    sent = [one(packets.points_at(rng.normal(0, 9, (256, 3)), np.arange(256)), size=(r, 1024)) for r in (1, 16, 128, 255)]
+    sent = [
+        one(packets.points_at(rng.normal(0, 9, (256, 3)), np.arange(256)), size=(r, 1024)) for r in (1, 16, 128, 255)
+    ]
     await check_sound(dut, sent)
 
 
@@ -207,7 +222,10 @@ async def bad_headers_are_refused_and_the_next_packet_is_right(dut):
     for idle, stall in (("never", "never"), ("half", "bursts")):
         for changes, status in wrong:
             lie = packets.with_header(bad.beats(), **changes)
-            sent, expected = [before.beats(), lie, after.beats()], [before.answer(), packets.refusal(lie, status), after.answer()]
+            sent, expected = (
+                [before.beats(), lie, after.beats()],
+                [before.answer(), packets.refusal(lie, status), after.answer()],
+            )
             await check(dut, sent, expected, idle, stall)
             only_header = lie[:2]
             await check(dut, [only_header, after.beats()], [packets.refusal(only_header, status), after.answer()])
@@ -249,3 +267,18 @@ async def takes_a_beat_a_clock(dut):
     latency = clocks[10] - len(short.beats()) - packet.TRAILER_BEATS
     dut._log.warning("latency: %d clocks", latency)
     assert latency <= 45, latency
+
+
+@cocotb.test()
+async def a_whole_scan_is_right_to_half_a_millimetre_within_31_000_clocks(dut):
+    """28,800 points at 100 m, 217 deg/s, 250 segments: first beat in to last beat out, header and table included."""
+    scan = turning_scan()
+    assert (len(scan.packet.table), len(scan.packet.points)) == (250, 28_800)
+    stream = Stream(dut)
+    await stream.reset()
+    (answer,) = await stream.run([scan.packet.beats()])
+    np.testing.assert_array_equal(answer, scan.packet.answer())
+    clocks, error_m = stream.last_out - stream.first_in + 1, scan.error_m(answer).max()
+    dut._log.warning("28,800 points: %d clocks, %.3f mm at the most", clocks, error_m * 1e3)
+    assert clocks <= 31_000
+    assert error_m <= tolerances.DESKEW_CORE_M

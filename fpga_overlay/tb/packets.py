@@ -96,12 +96,17 @@ def refusal(beats: Beats, status: int) -> Beats:
 
 
 def with_header(beats: Beats, **changes: int) -> Beats:
-    """The packet with header fields changed and nothing else: a packet that lies. magic, version, or Header's fields."""
+    """A packet that lies: header fields (magic, version, those of Header) changed and nothing else."""
     beats = beats.copy()
     magic, version = changes.pop("magic", packet.MAGIC), changes.pop("version", packet.VERSION)
     w = [int(word) for word in beats[0]]
     header = Header(
-        rings=w[2] & 255, columns=w[2] >> 16, segments=w[1] & 0xFFFF, sectors=w[1] >> 16, sequence=w[3], flags=w[0] & 255
+        rings=w[2] & 255,
+        columns=w[2] >> 16,
+        segments=w[1] & 0xFFFF,
+        sectors=w[1] >> 16,
+        sequence=w[3],
+        flags=w[0] & 255,
     )
     beats[0] = replace(header, **changes).beats()[0]
     beats[0, 0] = magic << 16 | version << 8 | int(beats[0, 0]) & 255

