@@ -8,7 +8,7 @@
 `default_nettype none
 
 module feature_core #(
-    parameter int RINGS      = 16,    // storage, powers of two: 2 to 128
+    parameter int RINGS      = 128,    // storage, powers of two: 2 to 128
     parameter int COLUMNS    = 2048,  // 4 to 2048
     parameter int BANK_WORDS = 4096   // of a URAM; smaller only in tests
 ) (

@@ -5,7 +5,7 @@
 `default_nettype none
 
 module range_image #(
-    parameter int RINGS = 16,  // powers of two
+    parameter int RINGS = 128,  // powers of two
     parameter int COLUMNS = 2048,
     parameter int BANK_WORDS = 4096,
     localparam int CELL_BITS = $clog2(RINGS) + $clog2(COLUMNS)

@@ -5,7 +5,7 @@
 `default_nettype none
 
 module ring_scanner #(
-    parameter int RINGS = 16,
+    parameter int RINGS = 128,
     parameter int COLUMNS = 2048,
     localparam int RING_BITS = $clog2(RINGS),
     localparam int COLUMN_BITS = $clog2(COLUMNS),

@@ -59,7 +59,11 @@ def scan(
     rng = np.random.default_rng(seed)
     ring, column = np.nonzero(rng.random((header.rings, header.columns)) < filled)
     range_q = np.array([wall_ranges(rng, header.columns) for _ in range(header.rings)])[ring, column]
-    place = {"columns": column * header.rings + ring, "rings": np.arange(len(ring)), "random": rng.permutation(len(ring))}
+    place = {
+        "columns": column * header.rings + ring,
+        "rings": np.arange(len(ring)),
+        "random": rng.permutation(len(ring)),
+    }
     sequence = np.argsort(place[order])
     again = rng.random(len(ring)) < repeated
     moment = np.concatenate([np.arange(len(ring)), np.flatnonzero(again) + rng.integers(0, 6, again.sum()) + 0.5])

@@ -17,6 +17,7 @@ class Mutation:
     test: str
     top: str = "deskew_core"
     bench: str = "fpga_overlay.tb.deskew_core"
+    parameters: tuple[tuple[str, int], ...] = ()  # of `top`
 
     @property
     def only(self) -> str:

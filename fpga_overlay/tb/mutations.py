@@ -39,7 +39,8 @@ def verdict(mutation: Mutation) -> str:
     shutil.copytree(RTL, copy)
     (copy / mutation.file).write_text(text.replace(mutation.old, mutation.new))
     try:
-        simulate(mutation.top, mutation.bench, only=mutation.only, rtl=copy, flags=["-Wno-fatal"])
+        parameters = dict(mutation.parameters)
+        simulate(mutation.top, mutation.bench, parameters, only=mutation.only, rtl=copy, flags=["-Wno-fatal"])
     except SimulationFailed:
         return CAUGHT
     except BuildFailed as error:
@@ -50,9 +51,9 @@ def verdict(mutation: Mutation) -> str:
 def baseline(mutations: Sequence[Mutation]) -> list[str]:
     """The tests that fail without a mutation."""
     failures = []
-    for top, bench, only in dict.fromkeys((m.top, m.bench, m.only) for m in mutations):
+    for top, bench, parameters, only in dict.fromkeys((m.top, m.bench, m.parameters, m.only) for m in mutations):
         try:
-            simulate(top, bench, only=only)
+            simulate(top, bench, dict(parameters), only=only)
         except SimulationFailed as error:
             failures.append(f"{only} fails on the RTL as it is: {error}")
     return failures

@@ -36,7 +36,13 @@ def some(rng: np.random.Generator, points: int, segments: int, size: tuple[int, 
 async def scans_come_back_deskewed_and_with_their_features(dut: SimHandleBase, idle: str, stall: str) -> None:
     rng = np.random.default_rng(3)
     sizes = [SIZE, (SIZE[0] - 1, SIZE[1] - 6), (2, SIZE[1] // 2), (1, 2)]
-    shapes = [(2 * CELLS, 9, sizes[0]), (CELLS, 3, sizes[1]), (90, 0, sizes[2]), (3, 1, sizes[3]), (CELLS, 40, sizes[0])]
+    shapes = [
+        (2 * CELLS, 9, sizes[0]),
+        (CELLS, 3, sizes[1]),
+        (90, 0, sizes[2]),
+        (3, 1, sizes[3]),
+        (CELLS, 40, sizes[0]),
+    ]
     await check(dut, [some(rng, *shape) for shape in shapes], idle, stall)
 
 
