@@ -122,7 +122,7 @@ class _Run:
             site_id=config.site_id,
             map_id=config.map_id,
             agent_version=__version__,
-            deskew=self._pipeline.deskewer.name,
+            deskew=self._pipeline.image_node.name,
             disable=list(config.disable),
             lockstep=not config.source.realtime,
         )
