@@ -45,6 +45,10 @@ class ImageNode(Protocol):
         """Curvature, marks and candidates of that image's points."""
         ...
 
+    def close(self) -> None:
+        """Gives back what the back end holds."""
+        ...
+
 
 class CpuImageNode:
     """On this processor, with any of its deskew back ends."""
@@ -77,6 +81,9 @@ class CpuImageNode:
         """See ImageNode."""
         assert image.range_q is not None  # the projector's
         return FeatureMarks.of(image.range_q, image.column, image.ring_start, self._limits, self._marks)
+
+    def close(self) -> None:
+        """Holds nothing."""
 
 
 def make_image_node(settings: PipelineSettings, rings: int, columns: int) -> ImageNode:

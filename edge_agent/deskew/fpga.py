@@ -64,6 +64,10 @@ class AcceleratedImageNode:
         """See ImageNode."""
         return self._spare.marks(image) if self._marks is None else self._marks
 
+    def close(self) -> None:
+        """Gives back the overlay and its buffers."""
+        self._accelerator.close()
+
 
 def open_accelerated(settings: PipelineSettings, spare: CpuImageNode, rings: int, columns: int) -> AcceleratedImageNode:
     """The logic of this board, or with `cosim` its simulation; self-tested. InputError says why there is none."""
