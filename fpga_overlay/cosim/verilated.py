@@ -49,7 +49,7 @@ class VerilatedTop:
         sources: Sequence[Path] | None = None,
         seed: int = 1,
     ) -> None:
-        """rings, columns: the module's parameters RINGS and COLUMNS; None leaves the module's own. Builds if need be."""
+        """rings, columns: the module's parameters RINGS and COLUMNS; None: its own. Builds if need be."""
         given = {"RINGS": rings, "COLUMNS": columns}
         parameters = {name: value for name, value in given.items() if value is not None}
         self._library = _load(library(top, parameters, sources))
