@@ -10,23 +10,24 @@ from fpga_overlay.golden.packet import Beats
 from splitslam.features import Knots
 from splitslam.scan import Scan
 
-_POINTS, _SCAN_NS = 3000, 100_000_000
+_SCAN_NS = 100_000_000
 _TURN_RADPS = np.radians(217.0)
 
 
 def made_scan(rings: int) -> Scan:
-    """A scan turning once, with walls, steps, points of one cell, a ring that is none, NaN, Inf and far points."""
-    index = np.arange(_POINTS)
+    """A scan turning once: smooth, rough and stepped; points of one cell, of a ring that is none, NaN, Inf and far."""
+    count = max(3000, 100 * rings)
+    index = np.arange(count)
     ring = (index % rings).astype(np.uint8)
-    azimuth = np.pi - 2 * np.pi * index / _POINTS
-    range_m = 8.0 + 3.0 * np.sin(5 * azimuth) + 20.0 * (np.sin(9 * azimuth) > 0.6) + 0.02 * ring
+    azimuth = np.pi - 2 * np.pi * index / count
+    range_m = 8.0 + 3.0 * np.maximum(np.sin(5 * azimuth), 0) + 20.0 * (np.sin(9 * azimuth) > 0.6) + 0.02 * ring
     elevation = np.radians(-15.0 + 30.0 * ring / rings)
     direction = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     points = (range_m * np.array(direction)).T.astype(np.float32)
     points[17], points[1200], points[2500] = np.nan, [np.inf, 1, 1], [600, 0, 0]
     points[40 + rings], ring[2000] = points[40], min(rings, 255)
-    time = (index * (_SCAN_NS // _POINTS)).astype(np.int32)
-    return Scan(0, int(time[-1]), points, time, ring, np.zeros(_POINTS, np.uint8))
+    time = (index * (_SCAN_NS // count)).astype(np.int32)
+    return Scan(0, int(time[-1]), points, time, ring, np.zeros(count, np.uint8))
 
 
 def made_knots() -> Knots:
