@@ -81,7 +81,7 @@ class CosimDevice(pynq.Device):
         super().__init__(f"cosim-{next(_numbers)}")
         self.capabilities = {"REGISTER_RW": True}
         self.bitstream, self.logic = bitstream, logic
-        self._memory: dict[int, np.ndarray] = {}
+        self.memory: dict[int, np.ndarray] = {}
         self._next_address = _FIRST_ADDRESS
         self.dma = DmaRegisters(logic, self)
 
@@ -116,24 +116,24 @@ class CosimDevice(pynq.Device):
         assert cacheable, "uncached memory is slow to read on a board"
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         address, self._next_address = self._next_address, self._next_address + -(-size // _PAGE) * _PAGE
-        self._memory[address] = np.full(size, 0xA5, np.uint8)
+        self.memory[address] = np.full(size, 0xA5, np.uint8)
         made = pynq.buffer.PynqBuffer(shape, dtype, device=self, device_address=address, bo=address, coherent=False)
         made.view(np.ndarray)[...] = 0x5A
         return made
 
     def flush(self, bo: int, offset: int, vaddr: int, nbytes: int) -> None:
         """Cache to memory."""
-        self._memory[bo][offset : offset + nbytes] = _octets(vaddr, nbytes)
+        self.memory[bo][offset : offset + nbytes] = _octets(vaddr, nbytes)
 
     def invalidate(self, bo: int, offset: int, vaddr: int, nbytes: int) -> None:
         """Memory to cache."""
-        _octets(vaddr, nbytes)[:] = self._memory[bo][offset : offset + nbytes]
+        _octets(vaddr, nbytes)[:] = self.memory[bo][offset : offset + nbytes]
 
     # what the DMA calls
 
     def window(self, address: int, nbytes: int) -> np.ndarray | None:
         """See Memory."""
-        for base, memory in self._memory.items():
+        for base, memory in self.memory.items():
             if base <= address and address + nbytes <= base + len(memory):
                 return memory[address - base : address - base + nbytes]
         return None
@@ -141,7 +141,7 @@ class CosimDevice(pynq.Device):
     def close(self) -> None:
         """Ends the logic."""
         self.logic.close()
-        self._memory.clear()
+        self.memory.clear()
 
     @staticmethod
     def _offsets(address: int, length: int) -> range:

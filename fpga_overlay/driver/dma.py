@@ -22,6 +22,12 @@ BEAT_BYTES = 16
 TIMEOUT_S = 0.020
 _NAP_S = 50e-6
 _CONTROL, _RESET = 0x00, 0x4  # AXI DMA, PG021: MM2S_DMACR, its reset bit resets both channels
+_STATUS = {0x04: "sending", 0x34: "receiving"}  # MM2S_DMASR, S2MM_DMASR
+_ERRORS = {
+    0x10: "internal error (an answer longer than its buffer)",
+    0x20: "slave error (memory refused)",
+    0x40: "decode error (no memory there)",
+}
 
 
 def import_pynq() -> ModuleType:
@@ -144,15 +150,22 @@ class DmaLink:
         return self._answer[:beats]
 
     def _wait(self, channel: Any, what: str) -> None:
-        while not channel.error and not channel.idle:
+        while not channel.idle:
+            self._check()
             if time.perf_counter() > self._deadline:
                 raise AcceleratorError("timeout", f"{what}, after {self._timeout_s * 1e3:.0f} ms")
             time.sleep(_NAP_S)
-        try:
-            if channel._active_buffer is not None:  # else wait_async has done it
-                channel.wait()  # invalidates what was received
-        except RuntimeError as error:
-            raise AcceleratorError("dma", f"{what}: {error}") from None
+        self._check()
+        if channel._active_buffer is not None:  # else wait_async has done it
+            channel.wait()  # invalidates what was received
+
+    def _check(self) -> None:
+        """An error of either channel halts it, and the other one waits for ever."""
+        for offset, what in _STATUS.items():
+            status = self._dma.mmio.read(offset)
+            for bit, error in _ERRORS.items():
+                if status & bit:
+                    raise AcceleratorError("dma", f"{what}: {error}")
 
 
 def _loop_is_running() -> bool:
