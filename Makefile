@@ -96,7 +96,8 @@ lock: ## newest versions that pyproject.toml allows -> requirements/lock.txt, re
 	    --extra edge --extra server --extra sim --extra viz --extra dev \
 	    --no-emit-index-url --no-emit-find-links --no-header --output-file $(LOCK)
 	.venv-lock/bin/uv pip compile pyproject.toml requirements/fpga.in --quiet --universal --fork-strategy fewest --python-version 3.11 \
-	    --upgrade --extra edge --extra server --no-emit-index-url --no-emit-find-links --no-header --output-file requirements/fpga.txt
+	    --upgrade --extra edge --extra server --extra viz \
+	    --no-emit-index-url --no-emit-find-links --no-header --output-file requirements/fpga.txt
 
 clean: ## all that is generated, environments included
 	rm -rf .venv .venv-bench .venv-proto .venv-lock .venv-compat .venv-fpga build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis

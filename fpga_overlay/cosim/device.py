@@ -47,7 +47,7 @@ class VerilatedLogic:
         from fpga_overlay.cosim.verilated import VerilatedTop
 
         self.cycles: list[int] = []
-        self._top = VerilatedTop(_power_of_two(rings), _power_of_two(columns))
+        self._top = VerilatedTop(_power_of_two(max(rings, 2)), _power_of_two(max(columns, 4)))
 
     def answer(self, beats: Beats) -> list[Beats]:
         """See Logic; a core that hangs answers nothing, as on a board."""
@@ -172,4 +172,4 @@ def _octets(vaddr: int, nbytes: int) -> np.ndarray:
 
 
 def _power_of_two(value: int) -> int:
-    return 1 << max(value - 1, 1).bit_length()
+    return 1 << (value - 1).bit_length()
