@@ -82,6 +82,9 @@ class _Run:
         beams = recording.beam_elevations_rad
         self._imu = make_imu_node(robot, config.imu)
         self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
+        node = self._pipeline.image_node
+        cleanup.callback(node.close)
+        metrics.deskew_from(node.name, node.counts)
         warm_up(robot, config.pipeline, config.imu, beams)
         self._run_state = RunState(config.state_dir)
         self._run_id = self._run_state.open()
@@ -122,7 +125,7 @@ class _Run:
             site_id=config.site_id,
             map_id=config.map_id,
             agent_version=__version__,
-            deskew=self._pipeline.deskewer.name,
+            deskew=self._pipeline.image_node.name,
             disable=list(config.disable),
             lockstep=not config.source.realtime,
         )
@@ -197,6 +200,7 @@ class _Run:
             "jumps": jumps,
             "wheels": self._imu.wheels_report,
             "imu_resets": self._imu.resets,
+            "deskew": {"back_end": self._pipeline.image_node.name, "troubles": dict(self._pipeline.image_node.counts)},
             "dropped_by_reason": self._metrics.all_dropped(),
             "check": [finding.as_dict() for finding in self._check.finish()],
             **tally.by_scan(),

@@ -10,7 +10,7 @@ from wsgiref.simple_server import WSGIServer
 import numpy as np
 from numpy.typing import NDArray
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
-from prometheus_client.metrics_core import CounterMetricFamily
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from splitslam.errors import InputError
@@ -63,6 +63,23 @@ class _Drops(Collector):
         for reason, count in sorted(self._metrics.all_dropped().items()):
             family.add_metric([reason], count)
         yield family
+
+
+class _BackEnd(Collector):
+    """Which deskew back end is in force, and what it could not do, as its Image node counts it."""
+
+    def __init__(self, name: str, counts: Tally[str]) -> None:
+        self._name, self._counts = name, counts
+
+    def collect(self) -> Iterator[CounterMetricFamily | GaugeMetricFamily]:
+        back_end = GaugeMetricFamily("splitslam_edge_deskew_back_end", "1 for the one in force", labels=["name"])
+        back_end.add_metric([self._name], 1.0)
+        yield back_end
+        text = "Scans done on the CPU for want of an answer, and points that no deskew can move, by cause"
+        troubles = CounterMetricFamily("splitslam_edge_deskew_troubles", text, labels=["cause"])
+        for cause, count in sorted(dict(self._counts).items()):
+            troubles.add_metric([cause], count)
+        yield troubles
 
 
 class EdgeMetrics:
@@ -130,6 +147,10 @@ class EdgeMetrics:
                 if stage not in series:
                     series[stage] = Series(histogram.labels(stage), self._keep)
                 series[stage].observe_s(milliseconds * 1e-3)
+
+    def deskew_from(self, back_end: str, counts: Tally[str]) -> None:
+        """Shows the deskew back end in force and its Image node's own counts."""
+        self.registry.register(_BackEnd(back_end, counts))
 
     def tcp_bytes_from(self, sent: Callable[[], float], received: Callable[[], float]) -> None:
         """Shows the kernel's byte counts at scrape time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -33,6 +34,7 @@ class PipelineSettings(Model):
     """Image and Feature node."""
 
     deskew: Literal["auto", "reference", "cpu", "fpga", "cosim", "off", "rotation"] = "auto"
+    bitstream: Path | None = Field(default=None, description="the overlay's .bit, its .hwh beside it")
     min_points: int = Field(default=100, ge=1)
     step_m: float = Field(default=0.01, gt=1e-4, le=0.5)
     features: FeatureSettings = FeatureSettings()

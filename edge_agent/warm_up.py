@@ -24,8 +24,13 @@ _IMU_NS = 5_000_000
 def warm_up(
     robot: Robot, pipeline: PipelineSettings, imu: ImuSettings, beam_elevations_rad: NDArray[np.float32]
 ) -> None:
-    """Runs every kernel of the edge once with the types of a real run; leaves no trace."""
+    """Runs every kernel of the edge once with the types of a real run; leaves no trace.
+
+    An overlay has been warmed up by its self-test and is not opened twice; its spare, the `cpu` back end, is run here.
+    """
     node = make_imu_node(robot, imu)
+    if pipeline.deskew in ("auto", "fpga", "cosim"):
+        pipeline = pipeline.model_copy(update={"deskew": "cpu"})
     edge = EdgePipeline(robot, pipeline, beam_elevations_rad, node)
     for k in range(_SCANS):
         scan = _room(k * _SCAN_NS, robot, beam_elevations_rad)

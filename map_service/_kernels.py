@@ -208,13 +208,33 @@ def match(keys, geometry, points, voxel_m, levels, gate_m, slots):
     return found
 
 
+@njit(cache=True, nogil=True, fastmath=FASTMATH, inline="always")
+def offset_from_fit(g, n, T, px, py, pz, noise):
+    """(dx, dy, dz, along, square, variance) of T p against a fit g of n points.
+
+    d: from the fit's mean. along: its part along the normal or line. square: the residual's, off the plane or line.
+    variance: of the residual: the fit's own thickness and the sensor's noise[0]^2, and with them the fit's
+    uncertainty at that place (least squares of n points: 1 / n + distance^2 / (n spread)).
+    """
+    dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - g[0]
+    dy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - g[1]
+    dz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3] - g[2]
+    along = dx * g[3] + dy * g[4] + dz * g[5]
+    across2 = max(dx * dx + dy * dy + dz * dz - along * along, 0.0)
+    if g[9] == PLANE:
+        square, aside2, thin, spread = along * along, across2, g[6], g[7]
+    else:
+        square, aside2, thin, spread = across2, along * along, g[7], g[8]
+    variance = (thin + noise[0] * noise[0]) * (1.0 + (1.0 + aside2 / (spread + 1e-4)) / n)
+    return dx, dy, dz, along, square, variance
+
+
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def linearise(geometry, moments, points_lidar, T, slots, noise, H, b):
     """Adds the weighted normal equations of equation 3 to H (6, 6), b (6,); returns (cost, inliers, sum r^2).
 
     Right perturbation T exp(xi), xi = rotation first: d(R p + t) = -R [p]x w + R v. The weight is the inverse
-    variance of the residual (the fit's own thickness + the sensor's noise[0]^2 + the fit's uncertainty) times
-    Cauchy's robust weight with scale noise[1].
+    variance of the residual (`offset_from_fit`) times Cauchy's robust weight with scale noise[1].
     """
     cost = 0.0
     inliers = 0
@@ -225,43 +245,29 @@ def linearise(geometry, moments, points_lidar, T, slots, noise, H, b):
         if i < 0:
             continue
         g = geometry[i]
-        n = moments[i, 0]
         px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
-        dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - g[0]
-        dy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - g[1]
-        dz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3] - g[2]
-        along = dx * g[3] + dy * g[4] + dz * g[5]
+        dx, dy, dz, along, square, variance = offset_from_fit(g, moments[i, 0], T, px, py, pz, noise)
+        whitened = square / variance
+        cauchy = 1.0 + whitened / (noise[1] * noise[1])
+        cost += noise[1] * noise[1] * math.log(cauchy)
+        weight = 1.0 / (cauchy * variance)
         if g[9] == PLANE:
-            inplane = max(dx * dx + dy * dy + dz * dz - along * along, 0.0)
-            variance = g[6] + noise[0] * noise[0]
-            variance *= 1.0 + (1.0 + inplane / (g[7] + 1e-4)) / n
-            whitened = along * along / variance
-            robust = 1.0 / (1.0 + whitened / (noise[1] * noise[1]))
-            cost += noise[1] * noise[1] * math.log1p(whitened / (noise[1] * noise[1]))
-            weight = robust / variance
             rows = 1
             nx, ny, nz = g[3], g[4], g[5]
             residual = along
         else:
             ex, ey, ez = dx - along * g[3], dy - along * g[4], dz - along * g[5]
-            distance = math.sqrt(ex * ex + ey * ey + ez * ez)
-            variance = g[7] + noise[0] * noise[0]
-            variance *= 1.0 + (1.0 + along * along / (g[8] + 1e-4)) / n
-            whitened = distance * distance / variance
-            robust = 1.0 / (1.0 + whitened / (noise[1] * noise[1]))
-            cost += noise[1] * noise[1] * math.log1p(whitened / (noise[1] * noise[1]))
-            weight = robust / variance
+            residual = math.sqrt(ex * ex + ey * ey + ez * ez)
             # the second direction across the line carries no residual, but information
             rows = 2
-            if distance > 1e-9:
-                nx, ny, nz = ex / distance, ey / distance, ez / distance
+            if residual > 1e-9:
+                nx, ny, nz = ex / residual, ey / residual, ez / residual
             elif abs(g[5]) < 0.9:
                 length = math.sqrt(g[3] * g[3] + g[4] * g[4])
                 nx, ny, nz = -g[4] / length, g[3] / length, 0.0
             else:
                 length = math.sqrt(g[4] * g[4] + g[5] * g[5])
                 nx, ny, nz = 0.0, -g[5] / length, g[4] / length
-            residual = distance
         if whitened < 9.0:
             inliers += 1
             squares += whitened
@@ -299,22 +305,11 @@ def spurious(geometry, moments, points_lidar, T, slots, noise, H):
         if i < 0:
             continue
         g = geometry[i]
-        n = moments[i, 0]
         px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
-        dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - g[0]
-        dy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - g[1]
-        dz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3] - g[2]
-        along = dx * g[3] + dy * g[4] + dz * g[5]
-        square = dx * dx + dy * dy + dz * dz
-        if g[9] == PLANE:
-            thin, spread, distance2 = g[6], g[7], along * along
-            other = max(square - distance2, 0.0)
-        else:
-            thin, spread, distance2 = g[7], g[8], max(square - along * along, 0.0)
-            other = along * along
-        variance = (thin + noise[0] * noise[0]) * (1.0 + (1.0 + other / (spread + 1e-4)) / n)
-        weight = 1.0 / ((1.0 + distance2 / (variance * noise[1] * noise[1])) * variance)
-        tilt = max(thin, 2.5e-5) / max(n - 3.0, 1.0)
+        square, variance = offset_from_fit(g, moments[i, 0], T, px, py, pz, noise)[4:]
+        weight = 1.0 / ((1.0 + square / (variance * noise[1] * noise[1])) * variance)
+        thin = g[6] if g[9] == PLANE else g[7]
+        tilt = max(thin, 2.5e-5) / max(moments[i, 0] - 3.0, 1.0)
         for row in range(2):
             if g[9] == PLANE:
                 if row == 0:

@@ -46,7 +46,10 @@ class Deskewer(Protocol):
 
 
 def make_deskewer(name: str) -> Deskewer:
-    """The back end of that name; InputError for one that is unknown or not on this machine."""
+    """The back end of that name on this processor; `auto` is `cpu`. InputError for one that is unknown.
+
+    The programmable logic does more than deskew: `edge_agent.image_node.make_image_node`.
+    """
     match name:
         case "auto" | "cpu":
             return CpuDeskewer()
@@ -56,6 +59,4 @@ def make_deskewer(name: str) -> Deskewer:
             return RotationDeskewer()
         case "off":
             return OffDeskewer()
-        case "fpga" | "cosim":
-            raise InputError(f"deskew: {name} needs the FPGA overlay, which this version does not have; use cpu")
     raise InputError(f"deskew: {name!r} is no back end; expected one of {', '.join(BACK_ENDS)}")

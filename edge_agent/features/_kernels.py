@@ -38,11 +38,24 @@ def project(points, ring, cells, counts):
             cells[row, column] = i
 
 
+@njit(cache=True, nogil=True)
+def range_units(x, y, z):
+    """Range in 1/1024 m, rounded down, of coordinates that are first rounded to 2^-14 m; 1 to 2^18 - 1 (256 m).
+
+    In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
+    """
+    a = math.floor(abs(np.float64(x)) * 16384.0 + 0.5)
+    b = math.floor(abs(np.float64(y)) * 16384.0 + 0.5)
+    c = math.floor(abs(np.float64(z)) * 16384.0 + 0.5)
+    units = np.int64(math.sqrt(math.floor((a * a + b * b + c * c) / 256.0)))
+    return min(max(units, 1), 262143)
+
+
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def gather(cells, points, out_points, out_range, out_column, source, ring_start):
     """Lays the cells' points out by ring, then column; ring_start (rings + 1,). Returns how many there are.
 
-    source (M,) int32 is each point's index in the scan.
+    source (M,) int32 is each point's index in the scan; out_range (M,) int32 its range, 1/1024 m.
     """
     rings, columns = cells.shape
     n = 0
@@ -54,7 +67,7 @@ def gather(cells, points, out_points, out_range, out_column, source, ring_start)
                 continue
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             out_points[n, 0], out_points[n, 1], out_points[n, 2] = x, y, z
-            out_range[n] = math.sqrt(x * x + y * y + z * z)
+            out_range[n] = range_units(x, y, z)
             out_column[n] = column
             source[n] = i
             n += 1
@@ -118,30 +131,31 @@ def candidates(d, ring_start, corner, flat, sectors, marks, sector):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def corners_of_sector(curvature, column, picked, span, threshold, largest, rank):
+def corners_of_sector(d, marks, column, picked, span, largest, rank):
     """Corners of one sector, span = (sp, ep) inclusive: sharpest first, at most `largest`; returns their number.
 
-    picked: masked points are set on entry, corners and their neighbours are added. rank[i] = 1 + order of the corner
-    in its sector, 0 elsewhere. As in LIO-SAM the last point of the sector is looked at first, whatever its curvature.
+    d, marks: see `differences` and `candidates`. picked: corners of the sectors before and their neighbours; those of
+    this one are added. rank[i] = 1 + order of the corner in its sector, 0 elsewhere. As in LIO-SAM the last point of
+    the sector is looked at first, whatever its curvature.
     """
     sp, ep = span
     count = 0
     for i in range(sp, ep):
-        if curvature[i] > threshold and picked[i] == 0:
+        if marks[i] == 2 and picked[i] == 0:
             count += 1
     order = np.empty(count + 1, np.int64)
-    keys = np.empty(count, np.float32)
+    keys = np.empty(count, np.int32)
     count = 0
     for i in range(sp, ep):
-        if curvature[i] > threshold and picked[i] == 0:
+        if marks[i] == 2 and picked[i] == 0:
             order[count + 1] = i
-            keys[count] = -curvature[i]
+            keys[count] = -d[i]
             count += 1
     order[1:] = order[1:][np.argsort(keys, kind="mergesort")]
     order[0] = ep
     found = 0
     for i in order:
-        if picked[i] != 0 or curvature[i] <= threshold:
+        if picked[i] != 0 or marks[i] != 2:
             continue
         found += 1
         if found > largest:
@@ -166,12 +180,13 @@ def suppress(column, picked, i):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def select_corners(curvature, column, picked, ring_start, sectors, threshold, largest, rank):
-    """Corners of all rings and sectors; fills rank and cuts the rings as LIO-SAM does.
+def select_corners(d, marks, column, picked, ring_start, sectors, largest, rank):
+    """Corners of all rings and sectors among the candidates; fills rank (M,) and the scratch picked (M,) uint8.
 
     LIO-SAM begins each ring one point earlier, with a window that reaches into the ring before; here it does not.
     """
     rank[:] = 0
+    picked[:] = 0
     total = 0
     for row in range(len(ring_start) - 1):
         start, end = ring_start[row] + 5, ring_start[row + 1] - 6
@@ -179,7 +194,7 @@ def select_corners(curvature, column, picked, ring_start, sectors, threshold, la
             sp = (start * (sectors - j) + end * j) // sectors
             ep = (start * (sectors - 1 - j) + end * (j + 1)) // sectors - 1
             if sp < ep:
-                total += corners_of_sector(curvature, column, picked, (sp, ep), threshold, largest, rank)
+                total += corners_of_sector(d, marks, column, picked, (sp, ep), largest, rank)
     return total
 
 

@@ -1,4 +1,4 @@
-"""Curvature, marks and candidates of a range image in integers: what the CPU and the programmable logic share, bit for bit.
+"""Curvature, marks and candidates of a range image, in integers: the CPU and the programmable logic agree to the bit.
 
 LOAM, section V-A, in LIO-SAM's form, ring by ring: no window reaches into another ring.
 """

@@ -15,13 +15,13 @@ from splitslam.scan import Scan
 class Image:
     """The scan's points by ring, then column; M points. The arrays are views that the next scan overwrites.
 
-    points_lidar: (M, 3) float32, m, not deskewed. range_m: (M,) float32. ring: (M,) uint8. column: (M,) uint16.
+    points_lidar: (M, 3) float32, m; as seen when they come from the projector. ring: (M,) uint8. column: (M,) uint16.
     t_offset_ns: (M,) int32. intensity: (M,) uint8. ring_start: (rings + 1,) int32: ring r is [r]:[r + 1].
     duplicates: points dropped because their cell was taken; outside: because their ring does not exist.
+    range_q: (M,) int32, as seen, 1/1024 m, 1 to 2^18 - 1; None where the marks were made along with the image.
     """
 
     points_lidar: NDArray[np.float32]
-    range_m: NDArray[np.float32]
     ring: NDArray[np.uint8]
     column: NDArray[np.uint16]
     t_offset_ns: NDArray[np.int32]
@@ -29,6 +29,7 @@ class Image:
     ring_start: NDArray[np.int32]
     duplicates: int
     outside: int
+    range_q: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
         return len(self.points_lidar)
@@ -42,7 +43,7 @@ class Projector:
         cells = rings * columns
         self._cells = np.empty((rings, columns), np.int32)
         self._points = np.empty((cells, 3), np.float32)
-        self._range = np.empty(cells, np.float32)
+        self._range = np.empty(cells, np.int32)
         self._column = np.empty(cells, np.uint16)
         self._source = np.empty(cells, np.int32)
         self._ring_start = np.empty(rings + 1, np.int32)
@@ -66,7 +67,6 @@ class Projector:
         source = self._source[:n]
         return Image(
             points_lidar=self._points[:n],
-            range_m=self._range[:n],
             ring=np.take(scan.ring, source, out=self._ring[:n]),
             column=self._column[:n],
             t_offset_ns=np.take(scan.t_offset_ns, source, out=self._time[:n]),
@@ -74,4 +74,5 @@ class Projector:
             ring_start=self._ring_start,
             duplicates=int(self._counts[0]),
             outside=int(self._counts[1]),
+            range_q=self._range[:n],
         )

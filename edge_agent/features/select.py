@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.features import _kernels as kernels
-from edge_agent.features.curvature import Smoothness
+from edge_agent.features.integer import FLAT, FeatureMarks
 from edge_agent.features.projection import Image
 from edge_agent.settings import FeatureSettings
 from splitslam.features import FeatureSet
@@ -34,32 +34,22 @@ class Selector:
         self._table = np.empty((slots, 4), np.int64)
         self._sums = np.empty((slots, 5))
 
-    def select(
-        self, image: Image, points_lidar: NDArray[np.float32], smooth: Smoothness, dense: bool
-    ) -> tuple[FeatureSet, FeatureSet]:
-        """(corners, surfs) of an image; points_lidar (M, 3) float32 are its points deskewed. All copies."""
+    def select(self, image: Image, found: FeatureMarks, dense: bool) -> tuple[FeatureSet, FeatureSet]:
+        """(corners, surfs) of an image of deskewed points. All copies."""
         s, n = self.settings, len(image)
         picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
-        picked[:] = smooth.masked
         kernels.select_corners(
-            smooth.curvature,
-            image.column,
-            picked,
-            image.ring_start,
-            s.sectors,
-            s.corner_threshold_m2,
-            s.corners_per_sector,
-            rank,
+            found.d, found.marks, image.column, picked, image.ring_start, s.sectors, s.corners_per_sector, rank
         )
         kernels.thin_surfs(
-            points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._slot_of[:n], kept
+            image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._slot_of[:n], kept
         )
         if dense:
             corner_index, surf_index = np.flatnonzero(rank), np.flatnonzero(kept)
         else:
             corner_index = self._sparse_corners(rank)
-            surf_index = self._sparse_surfs(kept, smooth)
-        take = _taker(image, points_lidar)
+            surf_index = self._sparse_surfs(kept, found)
+        take = _taker(image)
         return take(corner_index), take(surf_index)
 
     def _sparse_corners(self, rank: NDArray[np.unsignedinteger]) -> NDArray[np.int64]:
@@ -76,10 +66,10 @@ class Selector:
             whole |= chosen.view(bool)
         return np.flatnonzero(whole)
 
-    def _sparse_surfs(self, kept: NDArray[np.uint8], smooth: Smoothness) -> NDArray[np.int64]:
+    def _sparse_surfs(self, kept: NDArray[np.uint8], found: FeatureMarks) -> NDArray[np.int64]:
         """Flat and reliable ones, evenly along all rings; rougher ones only when there are too few."""
         target = self.settings.sparse_surfs
-        flat = kept.view(bool) & (smooth.curvature < self.settings.surf_threshold_m2) & (smooth.masked == 0)
+        flat = kept.view(bool) & (found.marks == FLAT)
         chosen = self._chosen[: len(kept)]
         taken = kernels.spread(flat.view(np.uint8), target, chosen)
         index = np.flatnonzero(chosen)
@@ -90,10 +80,10 @@ class Selector:
         return index
 
 
-def _taker(image: Image, points_lidar: NDArray[np.float32]) -> Callable[[NDArray[np.int64]], FeatureSet]:
+def _taker(image: Image) -> Callable[[NDArray[np.int64]], FeatureSet]:
     def take(index: NDArray[np.int64]) -> FeatureSet:
         return FeatureSet(
-            points_lidar=points_lidar[index],
+            points_lidar=image.points_lidar[index],
             ring=image.ring[index],
             column=image.column[index],
             t_offset_ns=image.t_offset_ns[index],

@@ -13,7 +13,7 @@ To the logic: 2 header beats, 7 beats for every segment of the motion, 1 beat fo
 | segment 4-6 | slope, the same |
 | point | x float32 | y float32 | z float32 | ring 31:24, tick 23:0 |
 
-Back: the 2 header beats as they came, 1 beat for every point, the records two a beat, 2 trailer beats; TLAST on the last.
+Back: the 2 header beats as they came, 1 beat for every point, the records two a beat, 2 trailer beats; TLAST ends it.
 
 | beat | w0 | w1 | w2 | w3 |
 |---|---|---|---|---|
@@ -21,7 +21,7 @@ Back: the 2 header beats as they came, 1 beat for every point, the records two a
 | trailer 0 | magic 31:16, version 15:8, status 7:0 | points | invalid points | sequence |
 | trailer 1 | records | duplicates | 0 | 0 |
 
-A record is 64 bits, from bit 0 up: index 18 (of the point in this packet), column 11, ring 7, |d| 22, sector 3 (7: none),
+A record is 64 bits, from bit 0 up: index 18 (of the point in it), column 11, ring 7, |d| 22, sector 3 (7: none),
 masked 1, corner 1, flat 1. Records are ordered by ring, then column. Of an odd number the last beat's upper half is 0.
 """
 

@@ -138,7 +138,7 @@ def replay(
         node = make_imu_node(read.robot, ImuSettings())
         sequencer = Sequencer(read.robot)
         edge = EdgePipeline(read.robot, EdgeSettings(), read.beam_elevations_rad, node)
-        service = MapPipeline(read.robot, MapSettings(), _NoLoops(), frozenset(disable), edge.deskewer.name)
+        service = MapPipeline(read.robot, MapSettings(), _NoLoops(), frozenset(disable), edge.image_node.name)
         metrics.drop_sources += [read.dropped, sequencer.dropped]
         parts = Parts(
             sequencer, node, edge, _Service(service, read.beam_elevations_rad, arrives, out), _Sink(out), metrics

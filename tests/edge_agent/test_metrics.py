@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import socket
 import urllib.request
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -38,6 +39,19 @@ def test_the_report_and_the_metrics_page_have_the_same_numbers():
     assert page["splitslam_edge_round_trip_seconds_sum"] == pytest.approx(report["round_trip_ms"]["mean"] * 0.1)
     assert page['splitslam_edge_dropped_total{reason="nan"}'] == metrics.dropped["nan"] == 3
     assert page['splitslam_edge_uplink_bytes_total{kind="frame"}'] == 1200
+
+
+def test_the_deskew_back_end_and_its_troubles_are_on_the_page():
+    metrics, counts = EdgeMetrics(), Counter({"timeout": 2})
+    metrics.deskew_from("fpga", counts)
+    port = metrics.serve("127.0.0.1", 0)
+    try:
+        counts["timeout"] += 1
+        page = scrape(port)
+    finally:
+        metrics.close()
+    assert page['splitslam_edge_deskew_back_end{name="fpga"}'] == 1
+    assert page['splitslam_edge_deskew_troubles_total{cause="timeout"}'] == 3
 
 
 def test_a_summary_has_mean_spread_and_percentiles():

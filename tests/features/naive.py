@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,40 +26,59 @@ def project(points: np.ndarray, ring: np.ndarray, rings: int, columns: int) -> t
     return cells, taken, outside
 
 
-def curvature(range_m: np.ndarray) -> np.ndarray:
-    r = range_m.astype(np.float64)
-    out = np.zeros(len(r))
-    for i in range(5, len(r) - 5):
-        out[i] = (r[i - 5 : i + 6].sum() - 11 * r[i]) ** 2
+def range_units(p: np.ndarray) -> int:
+    """floor(1024 |p|) of the coordinates rounded to 2^-14 m, halves away from zero, in Python's integers."""
+    x, y, z = (int(abs(Fraction(float(v))) * 2**14 + Fraction(1, 2)) for v in p)
+    return min(max(math.isqrt((x * x + y * y + z * z) >> 8), 1), 2**18 - 1)
+
+
+def rings_of(ring_start: np.ndarray) -> list[range]:
+    return [range(int(a), int(b)) for a, b in pairwise(ring_start)]
+
+
+def differences(range_q: np.ndarray, ring_start: np.ndarray) -> np.ndarray:
+    out = np.zeros(len(range_q), int)
+    for ring in rings_of(ring_start):
+        r = range_q[ring.start : ring.stop].astype(int)
+        for i in range(5, len(r) - 5):
+            out[ring.start + i] = abs(r[i - 5 : i + 6].sum() - 11 * r[i])
     return out
 
 
-def unreliable(range_m: np.ndarray, column: np.ndarray) -> np.ndarray:
-    r, c = range_m, column.astype(int)
-    marked = np.zeros(len(r), bool)
-    for i in range(5, len(r) - 6):
-        if abs(c[i + 1] - c[i]) < 10:
-            if r[i] - r[i + 1] > 0.3:
-                for l in range(6):
-                    marked[i - l] = True
-            elif r[i + 1] - r[i] > 0.3:
-                for l in range(1, 7):
-                    marked[i + l] = True
-        if abs(r[i - 1] - r[i]) > 0.02 * r[i] and abs(r[i + 1] - r[i]) > 0.02 * r[i]:
-            marked[i] = True
+def unreliable(range_q: np.ndarray, column: np.ndarray, ring_start: np.ndarray, occlusion: int) -> np.ndarray:
+    marked = np.zeros(len(range_q), bool)
+    for ring in rings_of(ring_start):
+        r, c = (a[ring.start : ring.stop].astype(int) for a in (range_q, column))
+        m = marked[ring.start : ring.stop]
+        for i in range(5, len(r) - 6):
+            if c[i + 1] - c[i] < 10:
+                if r[i] - r[i + 1] > occlusion:
+                    for l in range(6):
+                        m[i - l] = True
+                elif r[i + 1] - r[i] > occlusion:
+                    for l in range(1, 7):
+                        m[i + l] = True
+            if abs(r[i - 1] - r[i]) > Fraction(r[i], 50) and abs(r[i + 1] - r[i]) > Fraction(r[i], 50):
+                m[i] = True
     return marked
 
 
+def sector_of(ring_start: np.ndarray, sectors: int) -> np.ndarray:
+    out = np.full(int(ring_start[-1]), 7)
+    for ring in rings_of(ring_start):
+        start, end = ring.start + 5, ring.stop - 6
+        for j in range(sectors):
+            sp = (start * (sectors - j) + end * j) // sectors
+            ep = (start * (sectors - 1 - j) + end * (j + 1)) // sectors - 1
+            if end > start:
+                out[sp : ep + 1] = j
+    return out
+
+
 def corner_ranks(
-    curvature_m2: np.ndarray,
-    column: np.ndarray,
-    marked: np.ndarray,
-    ring_start: np.ndarray,
-    sectors: int,
-    threshold: float,
-    largest: int,
+    d: np.ndarray, corner: np.ndarray, column: np.ndarray, ring_start: np.ndarray, sectors: int, largest: int
 ) -> np.ndarray:
-    picked = marked.copy()
+    picked = np.zeros(len(d), bool)
     c = column.astype(int)
     rank = np.zeros(len(c), int)
     for row in range(len(ring_start) - 1):
@@ -67,8 +89,8 @@ def corner_ranks(
             if sp >= ep:
                 continue
             found = 0
-            for i in [ep, *sorted(range(sp, ep), key=lambda k: (-curvature_m2[k], k))]:
-                if picked[i] or curvature_m2[i] <= threshold:
+            for i in [ep, *sorted(range(sp, ep), key=lambda k: (-int(d[k]), k))]:
+                if picked[i] or not corner[i]:
                     continue
                 found += 1
                 if found > largest:

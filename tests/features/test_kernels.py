@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from edge_agent.features import _kernels as kernels
+from edge_agent.features.integer import CORNER, Limits
+from edge_agent.settings import FeatureSettings
 from tests.features import naive
 
 
 def ranges(rng: np.random.Generator, n: int) -> np.ndarray:
     """Walls, steps and noise: all branches of the marks and many corners."""
     steps = np.repeat(rng.uniform(2, 12, n // 9 + 1), 9)[:n]
-    return (steps + rng.normal(0, 0.02, n) + 0.3 * (rng.random(n) < 0.1)).astype(np.float32)
+    return np.rint(1024 * (steps + rng.normal(0, 0.02, n) + 0.3 * (rng.random(n) < 0.1))).astype(np.int32)
 
 
 def columns_with_gaps(rng: np.random.Generator, ring_start: np.ndarray) -> np.ndarray:
@@ -52,34 +55,67 @@ def test_gather_lays_points_out_by_ring_then_column():
     cells[2] = -1  # a ring without returns
     points = rng.normal(size=(60, 3)).astype(np.float32)
     total = int((cells >= 0).sum())
-    out, range_m = np.empty((200, 3), np.float32), np.empty(200, np.float32)
+    out, range_q = np.empty((200, 3), np.float32), np.empty(200, np.int32)
     column, source, start = np.empty(200, np.uint16), np.empty(200, np.int32), np.empty(6, np.int32)
-    n = kernels.gather(cells, points, out, range_m, column, source, start)
+    n = kernels.gather(cells, points, out, range_q, column, source, start)
     order = [(r, c, int(cells[r, c])) for r in range(5) for c in range(40) if cells[r, c] >= 0]
     assert n == total == len(order)
     np.testing.assert_array_equal(source[:n], [i for _, _, i in order])
     np.testing.assert_array_equal(column[:n], [c for _, c, _ in order])
     np.testing.assert_array_equal(out[:n], points[source[:n]])
-    np.testing.assert_allclose(range_m[:n], np.linalg.norm(points[source[:n]], axis=1), rtol=1e-6)
+    np.testing.assert_array_equal(range_q[:n], [naive.range_units(p) for p in points[source[:n]]])
     assert start.tolist() == [sum(r < k for r, _, _ in order) for k in range(6)]
 
 
-@pytest.mark.parametrize("n", [0, 3, 10, 11, 12, 300])
-def test_curvature_is_the_squared_sum_of_range_differences(n: int):
-    r = ranges(np.random.default_rng(n), n)
-    out = np.full(n, np.nan, np.float32)
-    kernels.smoothness(r, out)
-    np.testing.assert_allclose(out, naive.curvature(r), rtol=1e-3, atol=1e-5)
+def test_a_range_is_rounded_the_same_way_whatever_the_point():
+    rng = np.random.default_rng(1)
+    points = (rng.normal(size=(2000, 3)) * 10 ** rng.uniform(-5, 2.6, (2000, 1))).astype(np.float32)
+    points[:4] = [[0, 0, 0], [300, 0, 0], [2**-15, 0, 0], [255.99951, 0, 0]]
+    np.testing.assert_array_equal([kernels.range_units(*p) for p in points], [naive.range_units(p) for p in points])
+    assert [kernels.range_units(*p) for p in points[:2]] == [1, 2**18 - 1]
 
 
-@pytest.mark.parametrize("n", [0, 3, 11, 12, 300])
-def test_occluded_points_and_parallel_beams_are_marked(n: int):
-    rng = np.random.default_rng(n)
-    r = ranges(rng, n)
-    column = columns_with_gaps(rng, np.array([0, n]))
-    marked = np.full(n, 7, np.uint8)
-    kernels.unreliable(r, column, marked)
-    np.testing.assert_array_equal(marked.astype(bool), naive.unreliable(r, column))
+RINGS = np.cumsum([0, 0, 1, 5, 10, 11, 12, 13, 17, 18, 300, 1]).astype(np.int32)  # too short for windows, sectors; long
+
+
+def test_curvature_is_the_sum_of_range_differences_within_a_ring():
+    r = ranges(np.random.default_rng(3), int(RINGS[-1]))
+    out = np.full(len(r), -1, np.int32)
+    kernels.differences(r, RINGS, out)
+    np.testing.assert_array_equal(out, naive.differences(r, RINGS))
+    assert out.max() > 1024
+
+
+def test_occluded_points_and_parallel_beams_are_marked():
+    rng = np.random.default_rng(4)
+    r = ranges(rng, int(RINGS[-1]))
+    column = columns_with_gaps(rng, RINGS)
+    marks = np.full(len(r), 7, np.uint8)
+    kernels.unreliable(r, column, RINGS, 307, marks)
+    np.testing.assert_array_equal(marks.astype(bool), naive.unreliable(r, column, RINGS, 307))
+    assert 20 < marks.sum() < len(r) - 20
+
+
+@pytest.mark.parametrize("sectors", [1, 6, 7])
+def test_candidates_lie_in_the_sectors_of_lio_sam_and_are_not_masked(sectors: int):
+    rng = np.random.default_rng(sectors)
+    d = rng.integers(0, 1500, int(RINGS[-1])).astype(np.int32)
+    masked = rng.random(len(d)) < 0.2
+    marks, sector = masked.astype(np.uint8), np.full(len(d), 9, np.uint8)
+    kernels.candidates(d, RINGS, 1024, 324, sectors, marks, sector)
+    expected = naive.sector_of(RINGS, sectors)
+    np.testing.assert_array_equal(sector, expected)
+    free = ~masked & (expected < 7)
+    np.testing.assert_array_equal(marks, masked + 2 * (free & (d > 1024)) + 4 * (free & (d < 324)))
+
+
+def test_no_integer_tells_the_limits_from_the_settings():
+    limits = Limits.of(FeatureSettings())
+    assert (limits.occlusion, limits.corner, limits.flat) == (307, 1024, 324)
+    for d in range(1, 3000):
+        curvature_m2 = Fraction(d, 1024) ** 2
+        assert (d > limits.corner) == (curvature_m2 > 1)
+        assert (d < limits.flat) == (curvature_m2 < Fraction(1, 10))
 
 
 @pytest.mark.parametrize("largest", [1, 3, 20])
@@ -87,12 +123,12 @@ def test_corners_are_the_sharpest_of_each_sector_and_suppress_their_neighbours(l
     rng = np.random.default_rng(largest)
     ring_start = np.array([0, 150, 155, 155, 400], np.int32)  # rings of five and of no points among them
     n = int(ring_start[-1])
-    curvature = rng.exponential(1.2, n).astype(np.float32)
+    d = rng.integers(0, 3000, n).astype(np.int32)
     column = columns_with_gaps(rng, ring_start)
-    marked = rng.random(n) < 0.2
-    rank = np.full(n, 9, np.uint8)
-    total = kernels.select_corners(curvature, column, marked.astype(np.uint8), ring_start, 6, 1.0, largest, rank)
-    expected = naive.corner_ranks(curvature, column, marked, ring_start, 6, 1.0, largest)
+    corner = (d > 1024) & (rng.random(n) > 0.2)
+    rank, picked = np.full(n, 9, np.uint8), np.full(n, 7, np.uint8)
+    total = kernels.select_corners(d, corner * np.uint8(CORNER), column, picked, ring_start, 6, largest, rank)
+    expected = naive.corner_ranks(d, corner, column, ring_start, 6, largest)
     np.testing.assert_array_equal(rank, expected)
     assert total == np.count_nonzero(expected) > 4
 

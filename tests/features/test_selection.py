@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_agent.features.curvature import SmoothnessFilter
-from edge_agent.features.projection import Projector
+from edge_agent.features.integer import MASKED, FeatureMarks, Limits
+from edge_agent.features.projection import Image, Projector
 from edge_agent.features.select import Selector
 from edge_agent.settings import FeatureSettings
 from splitslam.features import FeatureSet
@@ -14,10 +14,14 @@ from splitslam.scan import Scan
 from tests.features.made_scan import made_scan
 
 
-def features(scan: Scan, dense: bool, **settings: Any) -> tuple[FeatureSet, FeatureSet]:
+def seen(scan: Scan) -> tuple[Image, FeatureMarks]:
     image = Projector(16, 1800).project(scan)
-    smooth = SmoothnessFilter(16 * 1800)(image)
-    return Selector(FeatureSettings(**settings), 16, 1800).select(image, image.points_lidar, smooth, dense)
+    assert image.range_q is not None
+    return image, FeatureMarks.of(image.range_q, image.column, image.ring_start, Limits.of(FeatureSettings()))
+
+
+def features(scan: Scan, dense: bool, **settings: Any) -> tuple[FeatureSet, FeatureSet]:
+    return Selector(FeatureSettings(**settings), 16, 1800).select(*seen(scan), dense)
 
 
 @pytest.mark.parametrize("dense", [True, False])
@@ -62,9 +66,8 @@ def test_a_sparse_frame_has_the_wanted_numbers_on_all_rings_and_sides():
 
 def test_a_sparse_frame_prefers_the_sharpest_corners():
     scan = made_scan()
-    image = Projector(16, 1800).project(scan)
-    smooth = SmoothnessFilter(16 * 1800)(image)
-    curvature = {(int(r), int(c)): v for r, c, v in zip(image.ring, image.column, smooth.curvature, strict=True)}
+    image, found = seen(scan)
+    curvature = {(int(r), int(c)): v for r, c, v in zip(image.ring, image.column, found.d, strict=True)}
     means = []
     for dense in (True, False):
         corners, _ = features(scan, dense, sparse_corners=60)
@@ -84,11 +87,9 @@ def test_a_scan_with_fewer_features_than_wanted_gives_all_of_them():
 
 def test_masked_points_are_never_corners():
     scan = made_scan()
-    image = Projector(16, 1800).project(scan)
-    smooth = SmoothnessFilter(16 * 1800)(image)
-    masked = {
-        (int(r), int(c)) for r, c in zip(image.ring[smooth.masked == 1], image.column[smooth.masked == 1], strict=True)
-    }
-    corners, _ = Selector(FeatureSettings(), 16, 1800).select(image, image.points_lidar, smooth, True)
+    image, found = seen(scan)
+    hidden = found.marks & MASKED > 0
+    masked = {(int(r), int(c)) for r, c in zip(image.ring[hidden], image.column[hidden], strict=True)}
+    corners, _ = Selector(FeatureSettings(), 16, 1800).select(image, found, True)
     assert len(masked) > 100
     assert not masked & {(int(r), int(c)) for r, c in zip(corners.ring, corners.column, strict=True)}
