@@ -6,8 +6,6 @@ from __future__ import annotations
 DESKEW_RANGE_M = 100.0
 # cpu against reference: float32 coordinates at 100 m have a step of 8 um; knot interpolation adds the rest.
 DESKEW_CPU_M = 1e-3
-# The deskew core against it, at 217 deg/s with a table of 250 segments (seen: 0.114 mm, half of it fixed-point steps).
-DESKEW_CORE_M = 0.5e-3
 # Codec v1 sends times as a line per ring with corrections of 40 us: within half a VLP-16 firing.
 CODEC_TIME_NS = 50_000
 # Bits a point of a dense VLP-16 frame, everything included (seen: 14.6 on yard1; Morton order + zstd: about 25).
