@@ -1,4 +1,4 @@
-"""rtl/splitslam_axis.v, the cores as Vivado's block design sees them: both linters read it, its ports form two streams."""
+"""rtl/splitslam_axis.v, the cores as a block design sees them: both tools read it, and its ports form two streams."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-OVERLAY = Path(__file__).parents[1]
+OVERLAY = Path(__file__).parents[2]
 WRAPPER = OVERLAY / "rtl" / "splitslam_axis.v"
 SOURCES = [*sorted(str(path) for path in OVERLAY.glob("rtl/*.sv")), str(WRAPPER)]
 

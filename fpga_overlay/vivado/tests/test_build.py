@@ -1,4 +1,4 @@
-"""The build script, run with stubs in Vivado's place (stub.tcl): its steps, its answers to bad builds, its block design.
+"""The build script, run with stubs in Vivado's place (stub.tcl): its steps, its refusals, its block design.
 
 What Vivado itself makes of it has not been seen.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-OVERLAY = HERE.parent
+OVERLAY = HERE.parents[1]
 SUMMARY = """
 1. checking no_clock (0)
 4. checking unconstrained_internal_endpoints (0)

@@ -133,4 +133,4 @@ vivado write_checkpoint {-force 0} { write_file [lindex $rest 0] }
 vivado write_bitstream {-force 0} { write_file [lindex $rest 0] }
 
 set argv $env(STUB_ARGV)
-source [file join [file dirname [file normalize [info script]]] build.tcl]
+source [file join [file dirname [file normalize [info script]]] .. build.tcl]
