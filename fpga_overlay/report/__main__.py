@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 
 from fpga_overlay.golden.packet import BYPASS_FEATURES
-from fpga_overlay.report import cores, workload
+from fpga_overlay.report import cores
 from fpga_overlay.report.board import Zcu104
 from fpga_overlay.report.prediction import EndToEnd, predict
 from fpga_overlay.report.resources import resources

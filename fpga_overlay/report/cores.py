@@ -11,7 +11,7 @@ from edge_agent.deskew.reference import deskew_float64
 from edge_agent.features.integer import Limits
 from edge_agent.settings import FeatureSettings
 from fpga_overlay.cosim.verilated import VerilatedTop
-from fpga_overlay.driver.request import ROOM_BEATS, RequestWriter
+from fpga_overlay.driver.request import ROOM_BEATS, Request, RequestWriter
 from fpga_overlay.golden import features, fixed, packet
 from fpga_overlay.golden.packet import Beats
 from fpga_overlay.report import workload
@@ -22,14 +22,13 @@ RINGS, COLUMNS = packet.MAX_RINGS, packet.MAX_COLUMNS  # as synthesised for the 
 IMAGES = [(16, 1800), (64, 1024), (128, 200), (5, 64)]  # random ones; the last two have short rings
 
 
-def request(scan: Scan, knots: Knots, rings: int, columns: int, flags: int = 0) -> Beats:
+def request(scan: Scan, knots: Knots, rings: int, columns: int, flags: int = 0) -> Request:
     """The packet that the driver sends for a scan."""
     writer = RequestWriter(rings, columns, Limits.of(FeatureSettings()), flags)
-    out = np.empty((ROOM_BEATS + len(scan), 4), np.uint32)
-    return out[: writer.write(scan, knots, 1, out)]
+    return writer.write(scan, knots, 1, np.empty((ROOM_BEATS + len(scan), 4), np.uint32))
 
 
-def full_request(rings: int, columns: int, flags: int = 0) -> Beats:
+def full_request(rings: int, columns: int, flags: int = 0) -> Request:
     """The packet for a scan with a point in every cell and 500 IMU samples a second."""
     return request(workload.full_scan(rings, columns), workload.turning(), rings, columns, flags)
 
@@ -44,9 +43,9 @@ def both_cores() -> VerilatedTop:
     return VerilatedTop(RINGS, COLUMNS)
 
 
-def cycles(core: VerilatedTop, beats: Beats, read_share: float = 1.0, write_share: float = 1.0) -> int:
-    """Clocks from the packet's first beat to the answer's last, with memory ready in these shares of the clocks."""
-    return core.run(beats, idle=1 - read_share, stall=1 - write_share)[1]
+def cycles(core: VerilatedTop, asked: Request) -> int:
+    """Clocks from the packet's first beat to the answer's last, without pauses on either side."""
+    return core.run(asked.beats)[1]
 
 
 def max_error_mm(core: VerilatedTop, range_m: float = 100.0, count: int = 8000) -> float:
@@ -55,7 +54,7 @@ def max_error_mm(core: VerilatedTop, range_m: float = 100.0, count: int = 8000) 
     for imu_hz in (100, 250, 500):
         for phase in (0.3, np.pi / 2):  # turning faster, turning fastest
             scan, knots = workload.far_points(count, range_m), workload.turning(imu_hz, phase)
-            answer, _ = core.run(request(scan, knots, 16, 1800))
+            answer, _ = core.run(request(scan, knots, 16, 1800).beats)
             exact = deskew_float64(scan.points_lidar.astype(np.float64), scan.t_offset_ns, knots)
             worst = max(worst, float(np.linalg.norm(_points(answer, count) - exact, axis=1).max()))
     return worst * 1e3
@@ -66,8 +65,8 @@ def mismatches(core: VerilatedTop, scans: Iterable[tuple[Scan, int, int]]) -> in
     knots = workload.turning()
     wrong = 0
     for scan, rings, columns in scans:
-        beats = request(scan, knots, rings, columns)
-        wrong += differing(core.run(beats)[0], features.answer(*workload.parts_of(beats)))
+        asked = request(scan, knots, rings, columns)
+        wrong += differing(core.run(asked.beats)[0], features.answer(asked.header, asked.table.words, asked.points))
     return wrong
 
 

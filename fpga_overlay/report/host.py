@@ -1,7 +1,7 @@
-"""What the driver costs this machine's processor for one scan: its own code and PYNQ's, the logic's answer being there.
+"""What the driver costs this machine's processor for one scan: its own code and PYNQ's, the answer being there.
 
-The buffers are ordinary memory and the registers an array that always says `idle`, so that all the time that is measured
-is the driver's. What the board adds, caches, registers and the wait, is in `report.board`.
+The buffers are ordinary memory and the registers an array that always says `idle`, so that all the time measured is
+the driver's. What the board adds, caches, registers and the wait, is in `report.board`.
 """
 
 from __future__ import annotations

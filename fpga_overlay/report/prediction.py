@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fpga_overlay.cosim.verilated import VerilatedTop
-from fpga_overlay.golden.packet import Beats
+from fpga_overlay.driver.request import Request
 from fpga_overlay.report import workload
 from fpga_overlay.report.board import MS_PER_NS, Zcu104
 from fpga_overlay.report.host import HostCost, host_cost
@@ -46,9 +46,9 @@ class EndToEnd:
         }
 
 
-def predict(board: Zcu104, cores: VerilatedTop, request: Beats, *, features: bool) -> EndToEnd:
-    """request: the packet of the 16 x 1800 scan of `workload`, with features in the logic or without."""
-    answer, clocks = cores.run(request, idle=1 - board.read_share, stall=1 - board.write_share)
+def predict(board: Zcu104, cores: VerilatedTop, asked: Request, *, features: bool) -> EndToEnd:
+    """asked: the packet of the 16 x 1800 scan of `workload`, with features in the logic or without."""
+    answer, clocks = cores.run(asked.beats, idle=1 - board.read_share, stall=1 - board.write_share)
     scan, knots = workload.full_scan(16, 1800), workload.turning()
     return put_together(board, host_cost(scan, knots, answer, 16, 1800, features=features), clocks)
 

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.sources import open_recording
-from fpga_overlay.golden import packet
-from fpga_overlay.golden.packet import Beats, Header
 from splitslam import se3
 from splitslam.errors import InputError
 from splitslam.features import Knots
@@ -23,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def turning(imu_hz: float = 500.0, phase: float = 0.3, peak_radps: float = FAST_TURN_RADPS) -> Knots:
-    """A head turned to and fro in a second, nodding and rolling as it walks; knots at IMU samples off the scan's grid."""
+    """A head turned to and fro in a second, nodding and rolling as it walks; knots at IMU samples, off the grid."""
     inside = np.arange(700_000, SCAN_NS, round(1e9 / imu_hz))
     offsets_ns = np.concatenate([[0], inside, [SCAN_NS]]).astype(np.int64)
     t = offsets_ns * 1e-9
@@ -81,24 +79,6 @@ def yard1(count: int) -> list[Scan]:
     if len(scans) != count:
         raise InputError(f"{folder}: {len(scans)} scans, expected {count}")
     return scans
-
-
-def parts_of(request: Beats) -> tuple[Header, NDArray[np.int32], Beats]:
-    """A packet taken apart as the golden model wants it: header, table (S, 28), points."""
-    w = request[:2].astype(int)
-    header = Header(
-        rings=w[0, 2] & 255,
-        columns=w[0, 2] >> 16,
-        segments=w[0, 1] & 0xFFFF,
-        sequence=w[0, 3],
-        flags=w[0, 0] & 255,
-        sectors=w[0, 1] >> 16 & 15,
-        occlusion=w[1, 0],
-        corner=w[1, 1],
-        flat=w[1, 2],
-    )
-    end = packet.HEADER_BEATS + header.segments * packet.SEGMENT_BEATS
-    return header, request[packet.HEADER_BEATS : end].reshape(header.segments, 28).view(np.int32), request[end:]
 
 
 def _scan(points: NDArray[np.float32], ring: NDArray[np.int64], t_offset_ns: NDArray[np.int32]) -> Scan:
