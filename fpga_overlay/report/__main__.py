@@ -62,9 +62,13 @@ def explain(with_features: EndToEnd, without: EndToEnd, board: Zcu104) -> None:
         ("features on the processor", without.parts_ms),
     ]
     for part in with_features.parts_ms:
-        print(f"  {part:<16}" + "".join(f"{parts[part]:10.3f}" for _, parts in rows), file=sys.stderr)
-    print(f"  {'total':<16}{with_features.total_ms:10.3f}{without.total_ms:10.3f}", file=sys.stderr)
+        print(f"  {part:<18}" + "".join(f"{parts[part]:10.3f}" for _, parts in rows), file=sys.stderr)
+    print(f"  {'total':<18}{with_features.total_ms:10.3f}{without.total_ms:10.3f}", file=sys.stderr)
     share = f"{with_features.processor_share:.0%} and {without.processor_share:.0%}"
+    print(
+        f"  {'feature marks':<18}{with_features.marks_ms:10.3f}{without.marks_ms:10.3f}  (not in the total)",
+        file=sys.stderr,
+    )
     print(f"  left: {rows[0][0]}; right: {rows[1][0]}; share of the processor: {share}", file=sys.stderr)
     print(f"  an A53 is taken as {board.cpu_factor:g} times slower than a core here", file=sys.stderr)
 

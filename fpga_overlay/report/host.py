@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from edge_agent.features.integer import Limits
+from edge_agent.features.integer import FeatureMarks, Limits
+from edge_agent.features.projection import Projector
 from edge_agent.settings import FeatureSettings
 from fpga_overlay.driver.accelerator import Accelerator
 from fpga_overlay.driver.dma import DmaLink, import_pynq
@@ -33,13 +34,14 @@ _LENGTH_BITS = 26
 class HostCost:
     """CPU time of one scan, best of several, ms on this machine; and what the board will add to.
 
-    write: motion resampled, scan packed. exchange: both channels started and waited for, by PYNQ. total: a whole
-    Accelerator.run; what is not write or exchange reads the answer. registers: accesses to the DMA. sent, received:
-    the buffers, whose caches are written back and dropped.
+    write: motion resampled, scan packed. exchange: both channels started and waited for, by PYNQ. marks: the Feature
+    node's, where the logic makes none. total: a whole Accelerator.run; the rest of it reads the answer. registers:
+    accesses to the DMA. sent, received: the buffers, whose caches are written back and dropped.
     """
 
     write: float
     exchange: float
+    marks: float
     total: float
     registers: int
     sent: Beats
@@ -48,7 +50,7 @@ class HostCost:
     @property
     def read(self) -> float:
         """The answer checked and unpacked."""
-        return self.total - self.write - self.exchange
+        return self.total - self.write - self.exchange - self.marks
 
 
 def host_cost(scan: Scan, knots: Knots, answer: Beats, rings: int, columns: int, *, features: bool) -> HostCost:
@@ -64,7 +66,8 @@ def host_cost(scan: Scan, knots: Knots, answer: Beats, rings: int, columns: int,
     registers = link.mmio.accesses.total()
     cost = HostCost(
         write=best_ms(lambda: writer.write(scan, knots, 1, beats)),
-        exchange=best_ms(lambda: link.exchange(len(scan), len(scan))),
+        exchange=best_ms(lambda: (link.exchange(len(scan), len(scan)), link.finish_sending())),
+        marks=0.0 if features else marks_ms(scan, rings, columns, limits),
         total=best_ms(lambda: accelerator.run(scan, knots)),
         registers=registers,
         sent=link.request,
@@ -72,6 +75,15 @@ def host_cost(scan: Scan, knots: Knots, answer: Beats, rings: int, columns: int,
     )
     accelerator.close()
     return cost
+
+
+def marks_ms(scan: Scan, rings: int, columns: int, limits: Limits) -> float:
+    """The Feature node's marks of a scan, on this processor."""
+    image = Projector(rings, columns).project(scan)
+    assert image.range_q is not None
+    arguments = image.range_q, image.column, image.ring_start, limits
+    out = FeatureMarks.of(*arguments)
+    return best_ms(lambda: FeatureMarks.of(*arguments, out))
 
 
 def best_ms(work: Callable[[], Any], repeats: int = 200) -> float:

@@ -23,8 +23,8 @@ proc parse_options {arguments} {
         }
         dict set options $key $value
     }
-    check_range $options rings 1 128
-    check_range $options columns 16 2048
+    check_power_of_two $options rings 2 128
+    check_power_of_two $options columns 4 2048
     check_range $options clock_mhz 10 300
     check_range $options jobs 1 32
     return $options
@@ -34,5 +34,14 @@ proc check_range {options key low high} {
     set value [dict get $options $key]
     if {![string is integer -strict $value] || $value < $low || $value > $high} {
         error "-$key $value: a whole number from $low to $high is needed"
+    }
+}
+
+# Storage of the range image; a sensor may have any number up to it.
+proc check_power_of_two {options key low high} {
+    check_range $options $key $low $high
+    set value [dict get $options $key]
+    if {$value & ($value - 1)} {
+        error "-$key $value: a power of two is needed"
     }
 }

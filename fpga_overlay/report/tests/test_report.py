@@ -61,7 +61,9 @@ def test_answers_differ_by_the_beats_that_are_wrong_missing_or_too_many() -> Non
 
 def test_the_prediction_adds_up_what_follows_each_other() -> None:
     board = Zcu104()
-    host = HostCost(write=0.05, exchange=0.01, total=0.10, registers=20, sent=beats(4000), received=beats(8000))
+    host = HostCost(
+        write=0.05, exchange=0.01, marks=0.02, total=0.12, registers=20, sent=beats(4000), received=beats(8000)
+    )
     made = put_together(board, host, clocks=50_000 - board.start_clocks)
     assert made.parts_ms["resample_and_pack"] == pytest.approx(0.4)
     assert made.parts_ms["flush"] == pytest.approx(1000 * 40e-6)
@@ -70,6 +72,7 @@ def test_the_prediction_adds_up_what_follows_each_other() -> None:
     assert made.parts_ms["transfer"] == pytest.approx(0.5)
     assert made.parts_ms["unpack"] == pytest.approx(0.32)
     assert made.total_ms == pytest.approx(0.4 + 0.04 + 0.08 + 0.084 + 0.5 + 0.05 + 0.32)
+    assert made.marks_ms == pytest.approx(0.16)
     assert made.processor_share == pytest.approx(1 - 0.5 / made.total_ms)
 
 
@@ -81,13 +84,14 @@ def test_the_driver_s_cost_is_that_of_whole_runs_of_it(with_features: bool) -> N
     assert 0 < cost.write < cost.total
     assert 0 < cost.exchange < cost.total
     assert cost.read > 0
+    assert (cost.marks > 0) is not with_features
     assert cost.registers > 8
     assert len(cost.sent) >= len(asked.beats)
     assert len(cost.received) >= len(golden(asked))
 
 
 def test_the_report_has_the_keys_that_were_promised(monkeypatch: pytest.MonkeyPatch) -> None:
-    host = HostCost(0.05, 0.01, 0.1, 20, beats(4), beats(4))
+    host = HostCost(0.05, 0.01, 0.0, 0.1, 20, beats(4), beats(4))
     monkeypatch.setattr(cores, "deskew_core", lambda: None)
     monkeypatch.setattr(cores, "both_cores", lambda: None)
     monkeypatch.setattr(cores, "full_request", lambda *_: None)

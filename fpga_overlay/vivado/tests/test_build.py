@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -164,7 +165,14 @@ def test_versions_from_2022_1_are_accepted(tmp_path: Path, version: str, accepte
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
-    [("-ringz 16", "-ringz"), ("-rings 129", "1 to 128"), ("-columns 8", "16 to 2048"), ("-jobs", "in pairs")],
+    [
+        ("-ringz 16", "-ringz"),
+        ("-rings 256", "2 to 128"),
+        ("-columns 2", "4 to 2048"),
+        ("-columns 1800", "a power of two"),
+        ("-clock_mhz fast", "a whole number"),
+        ("-jobs", "in pairs"),
+    ],
 )
 def test_options_that_make_no_sense_are_refused_by_name(tmp_path: Path, arguments: str, named: str) -> None:
     done = build(tmp_path, arguments)
@@ -174,8 +182,8 @@ def test_options_that_make_no_sense_are_refused_by_name(tmp_path: Path, argument
 
 
 def test_rings_columns_and_clock_reach_the_design(tmp_path: Path) -> None:
-    log = "\n".join(build(tmp_path, "-rings 16 -columns 1800 -clock_mhz 150").log)
-    assert "{CONFIG.RINGS 16 CONFIG.COLUMNS 1800} splitslam_0" in log
+    log = "\n".join(build(tmp_path, "-rings 16 -columns 1024 -clock_mhz 150").log)
+    assert "{CONFIG.RINGS 16 CONFIG.COLUMNS 1024} splitslam_0" in log
     assert "CONFIG.PSU__CRL_APB__PL0_REF_CTRL__FREQMHZ 150" in log
 
 
@@ -222,6 +230,20 @@ def test_interrupts_reach_the_processor_with_and_without_a_concatenation(tmp_pat
     }
     assert ("axi_dma_0/s2mm_introut", "axi_intc_0/intr") in one
     assert ("axi_intc_0/irq", "zynq_ultra_ps_e_0/pl_ps_irq0") in both & one
+
+
+def test_the_device_of_the_simulation_describes_this_block_design(tmp_path: Path) -> None:
+    log = "\n".join(build(tmp_path).log)
+    described = ElementTree.parse(OVERLAY / "cosim" / "splitslam.hwh").getroot()
+    modules = {module.get("INSTANCE"): module for module in described.iter("MODULE")}
+    assert f"{modules['axi_dma_0'].get('VLNV')} axi_dma_0" in log
+    assert "-reference splitslam_axis splitslam_0" in log
+    assert {"axi_dma_0", "splitslam_0", "zynq_ultra_ps_e_0"} == set(modules)
+    for parameter in modules["axi_dma_0"].iter("PARAMETER"):
+        name, value = parameter.get("NAME"), parameter.get("VALUE")
+        assert name == "c_micro_dma" or f"CONFIG.{name} {value}" in log
+    (place,) = described.iter("MEMRANGE")
+    assert f"-offset {place.get('BASEVALUE')} -range 64K -target_address_space zynq_ultra_ps_e_0/Data axi_dma_0" in log
 
 
 def test_two_builds_give_vivado_the_same_commands(tmp_path: Path) -> None:
