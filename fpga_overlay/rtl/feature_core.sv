@@ -8,7 +8,7 @@
 `default_nettype none
 
 module feature_core #(
-    parameter int RINGS      = 128,    // storage, powers of two: 2 to 128
+    parameter int RINGS      = 128,   // storage, powers of two: 2 to 128
     parameter int COLUMNS    = 2048,  // 4 to 2048
     parameter int BANK_WORDS = 4096   // of a URAM; smaller only in tests
 ) (
@@ -108,86 +108,33 @@ module feature_core #(
     point_data  <= {index, held_range};
   end
 
-  wire [CELL_BITS-1:0] writer_cell, scanner_cell;
-  wire [35:0] cell_data, write_data;
-  wire [1:0] write;
-  wire [CELL_BITS-2:0] write_word, clear_word;
-  wire stored, duplicate, clear, ring_clear, writer_busy, scanner_busy;
-  wire [RING_BITS-1:0] stored_ring, ring;
-  wire [11:0] ring_count;
-  wire scans = state == WIPE || state == SCAN;
+  // Records come out of the image.
+  wire duplicate, filling, scanning, step, step_last, record_valid, window_busy, records_valid;
+  wire starts = state == SETTLE && !filling;
+  wire [6:0] step_ring;
+  wire [11:0] step_count;
+  wire [10:0] step_column;
+  wire [35:0] step_data;
+  wire [63:0] record;
+  wire [127:0] records_data;
 
-  cell_writer #(
-      .CELL_BITS(CELL_BITS),
-      .RING_BITS(RING_BITS)
-  ) writer (
-      .clk,
-      .rst_n,
-      .point_valid,
-      .point_cell,
-      .point_data,
-      .read_cell(writer_cell),
-      .read_data(cell_data),
-      .write,
-      .write_word,
-      .write_data,
-      .stored,
-      .stored_ring,
-      .duplicate,
-      .busy(writer_busy)
-  );
-
-  range_image #(
+  scan_image #(
       .RINGS(RINGS),
       .COLUMNS(COLUMNS),
       .BANK_WORDS(BANK_WORDS)
   ) image (
       .clk,
-      .read_cell(scans ? scanner_cell : writer_cell),
-      .read_data(cell_data),
-      .write(write | {2{clear}}),
-      .write_word(clear ? clear_word : write_word),
-      .write_data(clear ? 36'd0 : write_data)
-  );
-
-  ring_counters #(
-      .RING_BITS(RING_BITS)
-  ) counters (
-      .clk,
-      .ring (scans ? ring : stored_ring),
-      .add  (stored),
-      .clear(ring_clear),
-      .count(ring_count)
-  );
-
-  // Records come out of the image.
-  wire starts = state == SETTLE && !writer_busy;
-  wire step, step_last, record_valid, window_busy, records_valid;
-  wire [  6:0] step_ring;
-  wire [ 11:0] step_count;
-  wire [ 10:0] step_column;
-  wire [ 35:0] step_data;
-  wire [ 63:0] record;
-  wire [127:0] records_data;
-
-  ring_scanner #(
-      .RINGS  (RINGS),
-      .COLUMNS(COLUMNS)
-  ) scanner (
-      .clk,
       .rst_n,
+      .point_valid,
+      .point_cell,
+      .point_data,
+      .duplicate,
+      .filling,
       .start(starts),
       .rings,
       .columns,
       .room,
-      .busy(scanner_busy),
-      .ring,
-      .ring_count,
-      .ring_clear,
-      .read_cell(scanner_cell),
-      .read_data(cell_data),
-      .clear,
-      .clear_word,
+      .scanning,
       .step,
       .step_last,
       .step_ring,
@@ -281,9 +228,9 @@ module feature_core #(
     end else begin
       if (moves && !next_last && !sound) taken <= taken + 2'd1;
       case (state)
-        WIPE: if (!scanner_busy) state <= PASS;
+        WIPE: if (!scanning) state <= PASS;
         SETTLE: if (starts) state <= SCAN;
-        SCAN: if (!scanner_busy && !window_busy && !records_valid) state <= FLUSH;
+        SCAN: if (!scanning && !window_busy && !records_valid) state <= FLUSH;
         FLUSH: state <= TRAILER_0;
         TRAILER_0: if (writes_trailer) state <= TRAILER_1;
         TRAILER_1:

@@ -70,3 +70,11 @@ def scan(
     source = np.concatenate([sequence, sequence[again]])[np.argsort(moment)]
     range_q = np.clip(range_q[source] + rng.integers(0, 3, len(source)), 1, RANGE_MAX)  # it shows which was first
     return points_of(ring[source], column[source], range_q, seed)
+
+
+def directions(header: Header, points: DeskewedPoints) -> np.ndarray:
+    """(N, 3) unit vectors into the middle of the points' columns, with an elevation for every ring."""
+    azimuth = 2 * np.pi * (points.column - header.columns // 2) / header.columns
+    elevation = np.radians(30.0 * points.ring / header.rings - 15.0)
+    flat = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)]
+    return np.column_stack([*flat, np.sin(elevation)])

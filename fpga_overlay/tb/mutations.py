@@ -1,7 +1,8 @@
-"""`python -m fpga_overlay.tb.mutations [NAME ...]`: deliberate mistakes in a copy of the RTL, each caught by a named test.
+"""`python -m fpga_overlay.tb.mutations [NAME ...]`: deliberate mistakes in the RTL, each caught by a named test.
 
-The lists are the `MUTATIONS` of the files `*_mutations.py` beside this one. Prints a table; exit code 1 if a mistake
-survives its test, does not apply (its text must occur once) or does not build, or if a test fails without any.
+A mistake is made in a copy. The lists are the `MUTATIONS` of the files `mutations_*.py` beside this one. Prints a
+table; exit code 1 if a mistake survives its test, does not apply (its text must occur once) or does not build, or if
+a test fails without any.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ CAUGHT = "caught"
 
 def all_mutations() -> list[Mutation]:
     """Of every list, in the order of the files' names."""
-    names = sorted(path.stem for path in Path(__file__).parent.glob("*_mutations.py"))
+    names = sorted(path.stem for path in Path(__file__).parent.glob("mutations_*.py"))
     return [m for name in names for m in importlib.import_module(f"fpga_overlay.tb.{name}").MUTATIONS]
 
 

@@ -26,13 +26,11 @@ MUTATIONS = [
     _of_core("hazard-one-short", "cell_writer.sv", "k <= UNSEEN; k++) if", "k < UNSEEN; k++) if", _HAZARD),
     _of_core("hazard-unseen", "cell_writer.sv", "taken = same_3 || ", "taken = ", _HAZARD),
     _of_core("both-cells-written", "cell_writer.sv", "{cells[3][0], !cells[3][0]}", "{2'b11}", _HAZARD),
-    _of_core("bank-of-the-next-read", "range_image.sv", ".select(choice)", ".select(~choice)", _SCANS),
+    _of_core("other-bank-chosen", "range_image.sv", ".select(choice)", ".select(~choice)", _SCANS),
     _of_core("odd-last-column-stays", "ring_scanner.sv", "(column[0] || row_ends)", "column[0]", _SCANS),
     _of_core("last-ring-not-wiped", "ring_scanner.sv", "RING_BITS'(RINGS - 1);", "RING_BITS'(RINGS - 2);", _RESET),
     _of_core("counter-goes-on", "ring_scanner.sv", "ring_clear = state == RING ||", "ring_clear =", _SCANS),
-    _of_core(
-        "scan-before-last-writes", "feature_core.sv", "state == SETTLE && !writer_busy", "state == SETTLE", _SCANS
-    ),
+    _of_core("scan-before-last-writes", "feature_core.sv", "state == SETTLE && !filling", "state == SETTLE", _SCANS),
     # The window
     _of_core("five-empty-steps", "ring_scanner.sv", "FLUSH = 3'd6", "FLUSH = 3'd5", _SHORT),
     _of_core("sum-of-twelve", "ring_window.sv", "AHEAD + BEHIND - 1", "AHEAD + BEHIND", _SCANS),
@@ -70,7 +68,7 @@ MUTATIONS = [
     _of_core("columns-unchecked", "feature_core.sv", "held_column < columns && ", "", _STRAYS),
     _of_core("rings-unchecked", "feature_core.sv", "held_ring < rings && ", "", _STRAYS),
     _of_core("status-ignored", "feature_core.sv", "quiet = held[7:0] != 8'd0", "quiet = 1'b0", _TRACES),
-    _of_core("bypass-ignored", "feature_core.sv", "active = fits && !bypassed", "active = fits", _TRACES),
+    _of_core("feature-bypass-ignored", "feature_core.sv", "active = fits && !bypassed", "active = fits", _TRACES),
     _of_core("eight-sectors", "feature_core.sv", " && !sector_count[3]", "", _TRACES),
     _of_core("fifo-runs-over", "feature_core.sv", ".ROOM (16)", ".ROOM (31)", _SCANS),
     _of_core("slice-drops-a-beat", "stream_skid.sv", "spare_valid ? spare : s_data", "s_data", _SCANS),
