@@ -92,9 +92,9 @@ class DmaLink:
         """
         if not self._sound:
             self.reset()
-        self._deadline = time.perf_counter() + self._timeout_s
         self._start(self._dma.recvchannel, self._received, receive_beats)  # first: the answer begins at once
         self._start(self._dma.sendchannel, self._sent, send_beats)
+        self._deadline = time.perf_counter() + self._timeout_s
         return self._finish()
 
     def receive(self, receive_beats: int) -> Beats:
