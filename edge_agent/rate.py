@@ -26,8 +26,9 @@ class RateSettings(Model):
     backlog_share: float = Field(default=0.7, gt=0, le=1, description="for new frames while old ones wait to be sent")
     horizon_s: float = Field(default=1.5, gt=0, description="in which a window's surplus or lack is evened out")
     fewest_points: int = Field(default=60, ge=1, description="no frame is worth sending with fewer")
+    fewest_dense_points: int = Field(default=500, ge=1, description="a keyframe of fewer maps nothing")
     frame_overhead_bytes: int = Field(
-        default=100, ge=0, description="around a payload: envelope, gRPC, HTTP/2, reports"
+        default=140, ge=0, description="around a payload: envelope, gRPC, HTTP/2, reports"
     )
 
 
@@ -39,9 +40,17 @@ class _Kind:
     bytes_per_point: float
     points: float  # if none were withheld
     per_s: float
+    fewest: int
 
-    def full_bytes_per_s(self) -> float:
-        return self.per_s * self.points * self.bytes_per_point
+    @property
+    def least_bytes(self) -> float:
+        """Of a frame with the fewest points."""
+        return self.fixed_bytes + min(self.fewest, self.points) * self.bytes_per_point
+
+    @property
+    def spare_bytes(self) -> float:
+        """What a frame with all its points takes beyond that."""
+        return max(self.points - self.fewest, 0.0) * self.bytes_per_point
 
 
 class RateControl:
@@ -57,7 +66,10 @@ class RateControl:
         self._sent: deque[tuple[int, int]] = deque()  # (stamp_ns, bytes) of the last window
         self._sum = 0
         overhead = settings.frame_overhead_bytes
-        self._kinds = {False: _Kind(200.0 + overhead, 2.0, 300.0, 9.0), True: _Kind(300.0 + overhead, 1.6, 4000.0, 1.0)}
+        self._kinds = {
+            False: _Kind(200.0 + overhead, 2.0, 300.0, 9.0, settings.fewest_points),
+            True: _Kind(300.0 + overhead, 1.6, 4000.0, 1.0, settings.fewest_dense_points),
+        }
         self._last_ns: int | None = None
 
     @property
@@ -80,9 +92,7 @@ class RateControl:
         """Is there room for a frame at all? If not, the scan is left out before anything is done with it."""
         if self.limit_kbps is None:
             return True
-        sparse = self._kinds[False]
-        least = sparse.fixed_bytes + self.settings.fewest_points * sparse.bytes_per_point
-        return least <= self._room(stamp_ns)
+        return self._kinds[False].least_bytes <= self._room(stamp_ns)
 
     def points(self, stamp_ns: int, dense: bool, wanted: int) -> int:
         """How many of the `wanted` points the frame may carry."""
@@ -91,7 +101,7 @@ class RateControl:
         if self.limit_kbps is None:
             return wanted
         room = (self._room(stamp_ns) - kind.fixed_bytes) / kind.bytes_per_point
-        allowed = min(self._share(stamp_ns) * wanted, room)
+        allowed = min(kind.fewest + self._share(stamp_ns) * (wanted - kind.fewest), room)
         return min(wanted, max(int(allowed), self.settings.fewest_points))
 
     def fits(self, stamp_ns: int, payload_bytes: int) -> bool:
@@ -130,13 +140,13 @@ class RateControl:
         return min(left, self.settings.largest_frame * window)
 
     def _share(self, stamp_ns: int) -> float:
-        """The share of all points with which the frames to come use the target, and even out the window."""
+        """Of the points beyond the fewest: the share with which frames to come use the target and even out the window."""
         s, budget = self.settings, self._budget()
         window_s = WINDOW_NS * 1e-9
         lack = s.target * budget * window_s - self._used(stamp_ns)  # of a whole window; none has passed at a start
         passed_s = min((stamp_ns - self._sent[0][0]) * 1e-9 if self._sent else 0.0, window_s)
         lack -= s.target * budget * (window_s - passed_s)
         rate = s.target * budget + lack / s.horizon_s
-        fixed = sum(kind.per_s * kind.fixed_bytes for kind in self._kinds.values())
-        full = sum(kind.full_bytes_per_s() for kind in self._kinds.values())
-        return max(rate - fixed, 0.0) / max(full, 1.0)
+        least = sum(kind.per_s * kind.least_bytes for kind in self._kinds.values())
+        spare = sum(kind.per_s * kind.spare_bytes for kind in self._kinds.values())
+        return max(rate - least, 0.0) / max(spare, 1.0)
