@@ -140,7 +140,7 @@ class RateControl:
         return min(left, self.settings.largest_frame * window)
 
     def _share(self, stamp_ns: int) -> float:
-        """Of the points beyond the fewest: the share with which frames to come use the target and even out the window."""
+        """The share of the points beyond the fewest with which frames use the target and even out the window."""
         s, budget = self.settings, self._budget()
         window_s = WINDOW_NS * 1e-9
         lack = s.target * budget * window_s - self._used(stamp_ns)  # of a whole window; none has passed at a start

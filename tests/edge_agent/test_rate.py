@@ -78,7 +78,7 @@ def test_a_generous_budget_withholds_nothing():
 
 
 def test_points_go_before_frames_and_frames_only_when_nothing_fits():
-    assert drive(RateControl(RateSettings(), 40), 300, 10).left_out == 0
+    assert drive(RateControl(RateSettings(), 50), 300, 10).left_out == 0
     starved = drive(RateControl(RateSettings(), 15), 300, 10)
     assert starved.left_out > 100
     assert starved.windows().max() <= 1.10 * 15 * 125 * 5
