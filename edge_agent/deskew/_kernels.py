@@ -63,6 +63,34 @@ def lay_breaks(offsets_ns, last_ns, segment_ns, breaks_ns):
     return count + 1
 
 
+@njit(cache=True, nogil=True)
+def longest(breaks_ns):
+    """The longest time between breaks; 0 without any."""
+    most = 0
+    for s in range(len(breaks_ns) - 1):
+        most = max(most, breaks_ns[s + 1] - breaks_ns[s])
+    return most
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def bend(A, w, from_m, to_m, scale, bent):
+    """What a knot interval's poses are sums of: bent (4, 12) = A | from, A [w] | 0, A [w]^2 | 0 and 0 | to - from.
+
+    3x4, row-major, times scale (12,). A (3, 3): rotation at its start; w (3,): rotation vector over it.
+    """
+    bent[:] = 0.0
+    for r in range(3):
+        for c in range(3):
+            i, j = (c + 1) % 3, (c + 2) % 3  # of column c of [w]: w_j in row i, -w_i in row j
+            bent[0, 4 * r + c] = A[r, c] * scale[4 * r + c]
+            bent[1, 4 * r + c] = (A[r, i] * w[j] - A[r, j] * w[i]) * scale[4 * r + c]
+        bent[0, 4 * r + 3] = from_m[r] * scale[4 * r + 3]
+        bent[3, 4 * r + 3] = (to_m[r] - from_m[r]) * scale[4 * r + 3]
+        for c in range(3):
+            i, j = (c + 1) % 3, (c + 2) % 3
+            bent[2, 4 * r + c] = bent[1, 4 * r + i] * w[j] - bent[1, 4 * r + j] * w[i]
+
+
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def fill_table(offsets_ns, rotation, translation_m, breaks_ns, shift, scale, table):
     """The words of the segments between breaks, each on its tick; the last one holds. False: motion out of range.
@@ -70,12 +98,14 @@ def fill_table(offsets_ns, rotation, translation_m, breaks_ns, shift, scale, tab
     table (S, 28) int32, breaks_ns (S,) int64, a tick is 2^shift ns. scale (12,) float64: units per entry of the 3x4
     base; a slope is 2^-20 of that, per tick. The pose at a break is slerp and linear between the knots around it.
     """
-    A, B, D, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    A, B, w = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    bent = np.empty((4, 12))
     here, there = np.empty(12), np.empty(12)
     fits = True
     half = (1 << shift) >> 1
     knots = len(offsets_ns)
     k = -1
+    angle = 0.0
     for s in range(len(breaks_ns)):
         tick = (breaks_ns[s] + half) >> shift
         t = min(max(tick << shift, offsets_ns[0]), offsets_ns[knots - 1])
@@ -86,12 +116,18 @@ def fill_table(offsets_ns, rotation, translation_m, breaks_ns, shift, scale, tab
             rotation_from_vector(rotation[k, 0], rotation[k, 1], rotation[k, 2], A)
             rotation_from_vector(rotation[k + 1, 0], rotation[k + 1, 1], rotation[k + 1, 2], B)
             vector_between(A, B, w)
+            angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+            bend(A, w, translation_m[k], translation_m[k + 1], scale, bent)
         f = (t - offsets_ns[k]) / (offsets_ns[k + 1] - offsets_ns[k])
-        rotation_from_vector(f * w[0], f * w[1], f * w[2], D)
+        first, second = f, 0.5 * f * f  # Rodrigues: A exp(f [w]) = A + first A [w] + second A [w]^2
+        if angle > 1e-6:
+            first, sine = math.sin(f * angle) / angle, math.sin(0.5 * f * angle) / angle
+            second = 2.0 * sine * sine
         for r in range(3):
             for c in range(3):
-                there[4 * r + c] = (A[r, 0] * D[0, c] + A[r, 1] * D[1, c] + A[r, 2] * D[2, c]) * scale[4 * r + c]
-            there[4 * r + 3] = ((1.0 - f) * translation_m[k, r] + f * translation_m[k + 1, r]) * scale[4 * r + 3]
+                e = 4 * r + c
+                there[e] = bent[0, e] + first * bent[1, e] + second * bent[2, e]
+            there[4 * r + 3] = bent[0, 4 * r + 3] + f * bent[3, 4 * r + 3]
         if s > 0:
             ticks = tick - table[s - 1, 0]
             per_tick = 1048576.0 / ticks if ticks > 0 else 0.0

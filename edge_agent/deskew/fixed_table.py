@@ -43,7 +43,7 @@ def fixed_table(knots: Knots, words: NDArray[np.int32]) -> FixedTable:
     breaks = np.empty(MOST_SEGMENTS, np.int64)
     last_ns = min(max(int(knots.offsets_ns[-1]), 0), _LAST_NS)
     breaks = breaks[: kernels.lay_breaks(knots.offsets_ns, last_ns, SEGMENT_NS, breaks)]
-    shift = _tick_shift(last_ns, int(np.diff(breaks).max(initial=0)))
+    shift = _tick_shift(last_ns, kernels.longest(breaks))
     table = words[: len(breaks)]
     fits = kernels.fill_table(knots.offsets_ns, knots.rotation, knots.translation_m, breaks, shift, SCALE, table)
     return FixedTable(table, shift, fits)

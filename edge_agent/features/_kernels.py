@@ -305,3 +305,80 @@ def spread(keep, target, chosen):
                 chosen[i] = 1
             k += 1
     return wanted
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def facing(points, column, ring_start, keep, group):
+    """group[i] of each point with keep[i] = 1: which way its surface faces; 0..7 walls by azimuth, 8 floor, 9 ceiling.
+
+    10 where it cannot be said. The normal is that of the plane through the point's neighbours in its ring and the
+    point nearest in column of the next ring outwards (the one before for the last ring). Frame `lidar`.
+    """
+    rings = len(ring_start) - 1
+    for row in range(rings):
+        start, end = np.int64(ring_start[row]), np.int64(ring_start[row + 1])
+        other = row + 1 if row + 1 < rings and ring_start[row + 2] > end else row - 1
+        first, last = 0, 0
+        if other >= 0:
+            first, last = np.int64(ring_start[other]), np.int64(ring_start[other + 1])
+        j = first
+        for i in range(start, end):
+            if keep[i] == 0:
+                continue
+            group[i] = 10
+            if i - 1 < start or i + 1 >= end or first >= last:
+                continue
+            c = np.int64(column[i])
+            while j + 1 < last and abs(np.int64(column[j + 1]) - c) <= abs(np.int64(column[j]) - c):
+                j += 1
+            if abs(np.int64(column[j]) - c) > 8:
+                continue
+            ax, ay, az = (
+                points[i + 1, 0] - points[i - 1, 0],
+                points[i + 1, 1] - points[i - 1, 1],
+                points[i + 1, 2] - points[i - 1, 2],
+            )
+            bx, by, bz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if length < 1e-9:
+                continue
+            towards = nx * points[i, 0] + ny * points[i, 1] + nz * points[i, 2]
+            sign = -1.0 / length if towards > 0.0 else 1.0 / length
+            nx, ny, nz = nx * sign, ny * sign, nz * sign
+            if nz > 0.7:
+                group[i] = 8
+            elif nz < -0.7:
+                group[i] = 9
+            else:
+                group[i] = np.int64((math.atan2(ny, nx) / (2.0 * math.pi) + 1.0) * 8.0) & 7
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def spread_by_group(keep, group, target, chosen):
+    """`spread`, but `target` is divided evenly among the groups (0..10) first; what small ones lack goes to others."""
+    counts, quotas, seen = np.zeros(11, np.int64), np.zeros(11, np.int64), np.zeros(11, np.int64)
+    for i in range(len(keep)):
+        if keep[i]:
+            counts[group[i]] += 1
+    left, open_groups = np.int64(target), np.count_nonzero(counts)
+    for _ in range(11):
+        smallest = -1
+        for g in range(11):
+            if counts[g] > 0 and quotas[g] == 0 and (smallest < 0 or counts[g] < counts[smallest]):
+                smallest = g
+        if smallest < 0 or left <= 0:
+            break
+        quotas[smallest] = min(counts[smallest], -(-left // open_groups))
+        left -= quotas[smallest]
+        open_groups -= 1
+    total = 0
+    for i in range(len(keep)):
+        chosen[i] = 0
+        if keep[i]:
+            g = group[i]
+            if (seen[g] + 1) * quotas[g] // counts[g] > seen[g] * quotas[g] // counts[g]:
+                chosen[i] = 1
+                total += 1
+            seen[g] += 1
+    return total

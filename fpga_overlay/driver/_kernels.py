@@ -60,31 +60,44 @@ def order_points(beats, cells, records):
 def unpack_image(beats, records, columns, points, ring, column, source, ring_start):
     """Points (M, 3) float32 in m, ring, column and index of M records; ring_start (rings + 1,). False: not an answer.
 
-    beats (N, 4) uint32 are the points as the logic sends them. A record must point at a valid point of its own cell,
-    and the cells must rise.
+    beats (N, 4) uint32 are the points as the logic sends them. A record must point at a point of its own ring and
+    column (their lower bytes, which lie in one word), and the cells must rise. A loop for each thing and no way out of
+    one: so each of them is vectorised.
     """
-    rings = len(ring_start) - 1
-    row, before = -1, -1
+    count, rings = len(beats), len(ring_start) - 1
+    wrong, before = False, np.int64(-1)
     for j in range(len(records)):
-        record = np.int64(records[j])
-        i, cell_column, cell_row = record & 0x3FFFF, record >> 18 & 0x7FF, record >> 29 & 0x7F
-        cell = cell_row * 2048 + cell_column
-        if i >= len(beats) or cell_row >= rings or cell_column >= columns or cell <= before:
-            return False
-        x, y, z = np.int64(beats[i, 0]), np.int64(beats[i, 1]), np.int64(beats[i, 2])
-        if x & 255 != cell_row or (z & 15) << 8 | y & 255 != cell_column or z >> 4 & 1 == 0:
-            return False
+        record = np.int64(records[j] & np.uint64(0xFFFFFFFFF))
+        cell = record >> 18
+        i, cell_column, cell_row = record & 0x3FFFF, cell & 0x7FF, cell >> 11
+        wrong |= (i >= count) | (cell_row >= rings) | (cell_column >= columns) | (cell <= before)
         before = cell
-        while row < cell_row:
-            row += 1
-            ring_start[row] = j
-        points[j, 0] = ((x >> 8 ^ 0x800000) - 0x800000) * 6.103515625e-05
-        points[j, 1] = ((y >> 8 ^ 0x800000) - 0x800000) * 6.103515625e-05
-        points[j, 2] = ((z >> 8 ^ 0x800000) - 0x800000) * 6.103515625e-05
         ring[j], column[j], source[j] = cell_row, cell_column, i
-    while row < rings:
-        row += 1
-        ring_start[row] = len(records)
+    if wrong:
+        return False
+    halves, bits = beats.view(np.uint64), np.uint64(0)  # x and y, z and range
+    for j in range(len(records)):
+        xy = halves[np.uint32(records[j] & np.uint64(0x3FFFF)), 0]
+        own = (xy & np.uint64(255)) << np.uint64(11) | xy >> np.uint64(32) & np.uint64(255)
+        bits |= own ^ records[j] >> np.uint64(18) & np.uint64(0x3F8FF)
+    if bits:
+        return False
+    step = np.float32(2.0**-14)
+    for j in range(len(records)):
+        i = np.uint32(source[j])
+        points[j, 0] = np.float32(np.int32(beats[i, 0]) >> 8) * step
+        points[j, 1] = np.float32(np.int32(beats[i, 1]) >> 8) * step
+        points[j, 2] = np.float32(np.int32(beats[i, 2]) >> 8) * step
+    low = 0
+    for row in range(rings + 1):  # the rings rise: where each begins
+        high = len(records)
+        while low < high:
+            middle = (low + high) // 2
+            if ring[middle] < row:
+                low = middle + 1
+            else:
+                high = middle
+        ring_start[row] = low
     return True
 
 
