@@ -14,7 +14,7 @@ FPGA := .venv-fpga/.set-up
 FPGA_TOOLS := g++ make perl
 WORKERS ?= 2
 
-.PHONY: help setup bench-setup fpga-setup demo test fpga-test check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -63,6 +63,9 @@ test: setup ## every test; the recordings in ../shared/data or $SPLITSLAM_DATA
 
 fpga-test: fpga-setup ## the overlay's own tests: cores on Verilator, driver, device behind PYNQ
 	@.venv-fpga/bin/python -m pytest fpga_overlay -n $(WORKERS) --dist worksteal
+
+fpga-report: fpga-setup ## the overlay's figures, measured afresh, as JSON: clocks, error, resources, prediction for the board
+	@.venv-fpga/bin/python -m fpga_overlay.report
 
 check: setup $(WIRE_TOOLS) ## lint, types, spelling, generated code, wire contract
 	$(BIN)/ruff check

@@ -43,8 +43,6 @@ def run_agent(config: AgentConfig, stop: threading.Event) -> None:
     recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
     for note in recording.notes:
         print(note, file=sys.stderr)
-    if config.uplink.max_kbps is not None:
-        _log.warning("uplink.max_kbps: this version has no rate control; frames go out as they are")
     with ExitStack() as cleanup:
         cleanup.callback(recording.close)
         metrics = EdgeMetrics(keep=config.output.dir is not None)
@@ -196,7 +194,7 @@ class _Run:
             "recording_s": recording_s,
             **tally.times(),
             **stage_summaries(self._metrics),
-            **tally.link(self._uplink.tcp_bytes(), recording_s, counts),
+            **tally.link(self._uplink.tcp_bytes(), recording_s, counts, self._pipeline.rate),
             "jumps": jumps,
             "wheels": self._imu.wheels_report,
             "imu_resets": self._imu.resets,

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.outbox import Outbox
+from edge_agent.pacer import Pacer
 from edge_agent.wire import Answer, answer
 from splitslam.wire import session_pb2 as pb
 
 _REPORT_EVERY_S = 1.0
+ENVELOPE_BYTES = 50  # HTTP/2 and gRPC around a message
 
 
 @dataclass(slots=True)
@@ -51,6 +53,9 @@ class Dialogue:
         self.failure: str | None = None
         self.bye: pb.Bye | None = None
         self.want_dense = False
+        self.advised_kbps: int | None = None
+        self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
+        self._pacer = Pacer()
         self._settings, self._metrics = settings, metrics
         self._dropped: dict[str, int] = {}
         self._reported: dict[str, int] = {}
@@ -77,7 +82,9 @@ class Dialogue:
         """Hello, then reports and frames, Bye after the last answer; None while there is nothing to say."""
         request = self._next(now_s)
         if request is not None:
-            self._metrics.sent(str(request.WhichOneof("message")), request.ByteSize())
+            size = request.ByteSize()
+            self._metrics.sent(str(request.WhichOneof("message")), size)
+            self._pacer.sent(now_s, size + ENVELOPE_BYTES)
         return request
 
     def _next(self, now_s: float) -> pb.StreamRequest | None:
@@ -90,7 +97,7 @@ class Dialogue:
         if self.report_due(now_s):
             self._report_s, self._reported = now_s, self._dropped
             return pb.StreamRequest(report=self._report())
-        if (frame := self.outbox.next_frame()) is not None:
+        if not self._held_back(now_s) and (frame := self.outbox.next_frame()) is not None:
             if stream.waiting_since_s is None:
                 stream.waiting_since_s = now_s
             return pb.StreamRequest(frame=frame)
@@ -98,6 +105,13 @@ class Dialogue:
             stream.bye_sent = True
             return pb.StreamRequest(bye=self.bye)
         return None
+
+    def _held_back(self, now_s: float) -> bool:
+        """By the limit; a run faster than the clock keeps it by the recording's time alone (edge_agent/rate.py)."""
+        size = 0 if self.hello.lockstep else self.outbox.next_size()
+        wait_s = self._pacer.wait_s(now_s, size + ENVELOPE_BYTES, self.limit_kbps) if size else 0.0
+        self.pause_s = wait_s if wait_s > 0 else None
+        return wait_s > 0
 
     def report_due(self, now_s: float) -> bool:
         """There is a loss to report; at most once a second, except before Bye."""
@@ -134,7 +148,7 @@ class Dialogue:
             self.outbox.window = response.credit.window
             self.outbox.mark_durable(response.credit.durable_seq)
         elif kind == "advice":
-            self.want_dense |= response.advice.want_dense
+            self._on_advice(response.advice)
         elif kind == "drain":
             self._end(f"drain: {pb.DrainReason.Name(response.drain.reason)}", response.drain.retry_after_ms)
         elif kind == "refused":
@@ -165,6 +179,18 @@ class Dialogue:
             return
         self.stream.answered = True
         self.answers.append(answer(message, now_s - held.queued_s))
+
+    def _on_advice(self, advice: pb.Advice) -> None:
+        """max_kbps 0: no limit of the service's; an Advice that only wants a dense frame leaves the limit alone."""
+        self.want_dense |= advice.want_dense
+        if advice.max_kbps or not advice.want_dense:
+            self.advised_kbps = advice.max_kbps or None
+
+    @property
+    def limit_kbps(self) -> float | None:
+        """The configured or the advised limit of the uplink, whichever is lower."""
+        limits = [limit for limit in (self._settings.max_kbps, self.advised_kbps) if limit is not None]
+        return min(limits, default=None)
 
     def _on_refused(self, refused: pb.Refused) -> None:
         name = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from edge_agent.dense import DensePolicy
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.rate import RateControl
 from edge_agent.reader import TimedEvent
 from edge_agent.sources import Event
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
@@ -33,6 +34,7 @@ class Pipeline(Protocol):
 
     seq: int
     dense: DensePolicy
+    rate: RateControl
 
     def process(self, packet: ScanPacket) -> EncodedFrame: ...
 
@@ -62,6 +64,10 @@ class Uplink(Protocol):
 
     @property
     def anchored(self) -> bool: ...
+    @property
+    def limit_kbps(self) -> float | None: ...
+    @property
+    def backlog(self) -> bool: ...
     def send(self, frame: pb.Frame) -> None: ...
     def take_answers(self) -> list[Answer]: ...
     def take_want_dense(self) -> bool: ...
@@ -168,6 +174,10 @@ class AgentLoop:
             self._apply_answers(None)
             # not in lockstep: when a wish arrives depends on the clock
             parts.pipeline.dense.wanted |= parts.uplink.take_want_dense()
+            parts.pipeline.rate.backlog = parts.uplink.backlog
+        limit_kbps = parts.pipeline.rate.limit_kbps = parts.uplink.limit_kbps
+        parts.metrics.limit_kbps.set(float("nan") if limit_kbps is None else limit_kbps)
+        parts.metrics.withheld_points.set(parts.pipeline.rate.withheld_points)
         parts.sink.on_scan_begun()
         try:
             frame = parts.pipeline.process(packet)

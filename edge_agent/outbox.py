@@ -91,6 +91,12 @@ class Outbox:
         self.mark_durable(durable_seq)
         return True
 
+    def next_size(self) -> int:
+        """Bytes of the frame that `next_frame` would give; 0 for none."""
+        if not self._unsent or len(self._in_flight) >= self.window:
+            return 0
+        return self._held[next(iter(self._unsent))].size
+
     def next_frame(self) -> pb.Frame | None:
         """The next frame to put on the stream, or None while the window is full or nothing waits."""
         if not self._unsent or len(self._in_flight) >= self.window:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge_agent.dense import DensePolicy
 from edge_agent.features.select import Selector
 from edge_agent.image_node import make_image_node
+from edge_agent.rate import RateControl
 from edge_agent.settings import PipelineSettings
 from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, MotionSource
@@ -33,11 +34,12 @@ class EdgePipeline:
         self.dense = DensePolicy(settings.dense)
         self.seq = 0
         self.dropped_points = {"duplicate": 0, "ring": 0}
-        self._select = Selector(settings.features, rings, self.columns).select
+        self.rate = RateControl(settings.rate)
+        self._selector = Selector(settings.features, rings, self.columns)
         self._rings = rings
 
     def process(self, packet: ScanPacket) -> EncodedFrame:
-        """A scan to its encoded frame. DataError (`empty`, `few_points`) drops the scan; no seq is used up."""
+        """A scan to its encoded frame. DataError (`empty`, `few_points`, `budget`) drops it; no seq is used up."""
         scan, clock = packet.scan, StageClock()
 
         # Image node. A scan that is dropped must not count as the previous one of the Imu node: so that comes first.
@@ -53,14 +55,22 @@ class EdgePipeline:
         # Feature node
         marks = self.image_node.marks(image)
         dense = self.dense.decide(motion.T_prev_lidar)
-        corners, surfs = self._select(image, marks, dense)
-        frame = FeatureFrame(self.seq + 1, scan.stamp_ns, dense, replace(motion, knots=knots), corners, surfs)
+        wanted = self._selector.find(image, marks, dense)
+        allowed = self.rate.points(scan.stamp_ns, dense, wanted)
         clock.lap("features")
 
         # to the Map node
-        payload = codec.encode(frame, self.beam_elevations_rad, self.columns, self.settings.step_m)
+        while True:
+            corners, surfs = self._selector.choose(image, marks, dense, allowed / max(wanted, 1))
+            frame = FeatureFrame(self.seq + 1, scan.stamp_ns, dense, replace(motion, knots=knots), corners, surfs)
+            clock.lap("features")
+            payload = codec.encode(frame, self.beam_elevations_rad, self.columns, self.settings.step_m)
+            clock.lap("encode")
+            if self.rate.fits(scan.stamp_ns, len(payload)) or allowed <= self.rate.settings.fewest_points:
+                break
+            allowed = int(0.8 * allowed)
+        self.rate.sent(scan.stamp_ns, dense, len(corners) + len(surfs), wanted, len(payload))
         self.seq += 1
-        clock.lap("encode")
         clock.stop()
         return EncodedFrame(
             seq=self.seq,
@@ -80,3 +90,5 @@ class EdgePipeline:
             raise DataError("empty", "scan without points")
         if usable < self.settings.min_points:
             raise DataError("few_points", f"{usable} points, expected at least {self.settings.min_points}")
+        if not self.rate.admits(scan.stamp_ns):
+            raise DataError("budget", "no room for a frame within the uplink's budget")

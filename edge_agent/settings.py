@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from edge_agent.rate import RateSettings
 from splitslam.config import Model
 
 
@@ -18,8 +19,8 @@ class FeatureSettings(Model):
     corners_per_sector: int = Field(default=20, ge=1)
     sectors: int = Field(default=6, ge=1)
     surf_leaf_m: float = Field(default=0.4, gt=0)
-    sparse_corners: int = Field(default=300, ge=0)
-    sparse_surfs: int = Field(default=1200, ge=0)
+    sparse_corners: int = Field(default=100, ge=0)
+    sparse_surfs: int = Field(default=400, ge=0)
 
 
 class DenseSettings(Model):
@@ -39,3 +40,4 @@ class PipelineSettings(Model):
     step_m: float = Field(default=0.01, gt=1e-4, le=0.5)
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
+    rate: RateSettings = RateSettings()

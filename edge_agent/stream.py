@@ -18,6 +18,7 @@ _OPTIONS = [
     ("grpc.use_local_subchannel_pool", 1),  # each attempt gets a connection of its own, not the frozen one again
     ("grpc.enable_retries", 0),
     ("grpc.enable_http_proxy", 0),
+    ("grpc.http2.bdp_probe", 0),  # pings for a window that a few kilobytes never fill
 ]
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.rate import RateControl
 from edge_agent.sources.recording import Counts
 from edge_agent.tcp_meter import TcpBytes
 from edge_agent.types import EncodedFrame
@@ -75,7 +76,7 @@ class Tally:
         edge_ms, reader_ms = (process_s - reader_s) * 1e3 / scans, reader_s * 1e3 / scans
         return {"wall_s": wall_s, "cpu_ms_per_scan": {"edge": edge_ms, "reader": reader_ms}}
 
-    def link(self, tcp: TcpBytes, recording_s: float, counts: Counts) -> dict[str, Any]:
+    def link(self, tcp: TcpBytes, recording_s: float, counts: Counts, rate: RateControl) -> dict[str, Any]:
         """The keys `uplink` and `downlink` of report.json. Rates go by recording time; null without any."""
         raw_bytes = RAW_POINT_BYTES * counts.read_points + RAW_IMU_BYTES * counts.imu_messages
 
@@ -92,6 +93,8 @@ class Tally:
                 "raw_kbps": kbps(raw_bytes),
                 "native_kbps": kbps(counts.native_bytes) if counts.native_bytes else None,
                 "ratio_to_raw": raw_bytes / tcp.sent if tcp.sent else None,
+                "limit_kbps": rate.limit_kbps,
+                "withheld_points": rate.withheld_points,
             },
             "downlink": {"bytes": tcp.received, "kbps": kbps(tcp.received)},
         }

@@ -22,6 +22,7 @@ from splitslam.errors import InputError
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
+_BACKLOG_FRAMES = 10
 _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: the next failure starts over
 
 
@@ -75,6 +76,18 @@ class Uplink:
         with self._changed:
             wanted, self._dialogue.want_dense = self._dialogue.want_dense, False
             return wanted
+
+    @property
+    def limit_kbps(self) -> float | None:
+        """What the uplink may take, by the configuration and the service's advice."""
+        with self._changed:
+            return self._dialogue.limit_kbps
+
+    @property
+    def backlog(self) -> bool:
+        """Whether frames of an outage still wait to be sent."""
+        with self._changed:
+            return self._dialogue.outbox.unsent > _BACKLOG_FRAMES
 
     def wait_answered(self, seq: int) -> bool:
         """Waits until no frame up to `seq` lacks its answer; False when stopped meanwhile."""
@@ -201,7 +214,7 @@ class Uplink:
                 if (request := self._dialogue.next_request(time.monotonic())) is not None:
                     self._changed.notify_all()  # the supervisor may have a nearer deadline now
                     return request
-                self._changed.wait()
+                self._changed.wait(self._dialogue.pause_s)
             return None
 
     def _on_response(self, stream: Stream, response: pb.StreamResponse) -> None:

@@ -9,6 +9,51 @@ import numpy as np
 from numba import njit
 
 FASTMATH = {"contract", "nsz"}
+ARCTANGENTS = np.array([round(math.atan(2.0**-i) / (2.0 * math.pi) * 2.0**27) for i in range(22)])  # of 2^-27 turns
+NEAR_RAD = 2e-6  # the CORDIC errs by at most 0.9e-6
+
+
+@njit(cache=True, nogil=True)
+def to_steps(v):
+    """A coordinate in steps of 2^-14 m, halves rounded away from zero: what the programmable logic sees."""
+    whole = np.floor(abs(np.float64(v)) * 16384.0 + 0.5)
+    return whole if v >= 0.0 else -whole
+
+
+@njit(cache=True, nogil=True)
+def cordic_azimuth(x, y):
+    """Angle of (x, y), whole steps below 2^23, in 2^-27 turns: to the bit what the logic's CORDIC finds."""
+    largest = max(abs(x), abs(y))
+    if largest == 0:
+        return np.int64(0)
+    while largest < 1 << 22:
+        largest, x, y = largest << 1, x << 1, y << 1
+    angle = np.int64(1 << 26 if x < 0 else 0)
+    u, v = abs(x) << 2, (-y if x < 0 else y) << 2
+    for i in range(22):
+        if v < 0:
+            u, v, angle = u - (v >> i), v + (u >> i), angle - ARCTANGENTS[i]
+        else:
+            u, v, angle = u + (v >> i), v - (u >> i), angle + ARCTANGENTS[i]
+    return ((angle + (1 << 26)) & ((1 << 27) - 1)) - (1 << 26)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def column_of(x, y, columns):
+    """The column of a point, by LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2.
+
+    The angle in it is minus the azimuth. x, y in m. Near the edge of a column as the logic has it, which is to the bit.
+    """
+    a, b = to_steps(x), to_steps(y)
+    per_rad = columns / (2.0 * math.pi)
+    v = math.atan2(b, a) * per_rad
+    edge = abs(v) + 0.5
+    whole = np.int64(edge)
+    if abs(edge - np.floor(edge + 0.5)) < NEAR_RAD * per_rad and abs(a) < 8388608.0 and abs(b) < 8388608.0:
+        angle = cordic_azimuth(np.int64(a), np.int64(b)) * columns
+        whole, v = (abs(angle) + (1 << 26)) >> 27, np.float64(angle)
+    column = columns // 2 + (whole if v >= 0.0 else -whole)
+    return column - columns if column >= columns else column
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -20,18 +65,12 @@ def project(points, ring, cells, counts):
     rings, columns = cells.shape
     cells[:] = -1
     counts[:] = 0
-    per_rad = columns / (2.0 * math.pi)
-    half = columns // 2
     for i in range(len(points)):
         row = ring[i]
         if row >= rings:
             counts[1] += 1
             continue
-        # LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2; the angle in it is minus the azimuth
-        v = math.atan2(points[i, 1], points[i, 0]) * per_rad
-        column = np.int64(math.floor(v + 0.5)) + half if v >= 0.0 else half - np.int64(math.floor(0.5 - v))
-        if column >= columns:
-            column -= columns
+        column = column_of(points[i, 0], points[i, 1], columns)
         if cells[row, column] >= 0:
             counts[0] += 1
         else:
@@ -44,10 +83,8 @@ def range_units(x, y, z):
 
     In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
     """
-    a = math.floor(abs(np.float64(x)) * 16384.0 + 0.5)
-    b = math.floor(abs(np.float64(y)) * 16384.0 + 0.5)
-    c = math.floor(abs(np.float64(z)) * 16384.0 + 0.5)
-    units = np.int64(math.sqrt(math.floor((a * a + b * b + c * c) / 256.0)))
+    a, b, c = to_steps(x), to_steps(y), to_steps(z)
+    units = np.int64(math.sqrt(np.floor((a * a + b * b + c * c) / 256.0)))
     return min(max(units, 1), 262143)
 
 
@@ -268,3 +305,80 @@ def spread(keep, target, chosen):
                 chosen[i] = 1
             k += 1
     return wanted
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def facing(points, column, ring_start, keep, group):
+    """group[i] of each point with keep[i] = 1: which way its surface faces; 0..7 walls by azimuth, 8 floor, 9 ceiling.
+
+    10 where it cannot be said. The normal is that of the plane through the point's neighbours in its ring and the
+    point nearest in column of the next ring outwards (the one before for the last ring). Frame `lidar`.
+    """
+    rings = len(ring_start) - 1
+    for row in range(rings):
+        start, end = np.int64(ring_start[row]), np.int64(ring_start[row + 1])
+        other = row + 1 if row + 1 < rings and ring_start[row + 2] > end else row - 1
+        first, last = 0, 0
+        if other >= 0:
+            first, last = np.int64(ring_start[other]), np.int64(ring_start[other + 1])
+        j = first
+        for i in range(start, end):
+            if keep[i] == 0:
+                continue
+            group[i] = 10
+            if i - 1 < start or i + 1 >= end or first >= last:
+                continue
+            c = np.int64(column[i])
+            while j + 1 < last and abs(np.int64(column[j + 1]) - c) <= abs(np.int64(column[j]) - c):
+                j += 1
+            if abs(np.int64(column[j]) - c) > 8:
+                continue
+            ax, ay, az = (
+                points[i + 1, 0] - points[i - 1, 0],
+                points[i + 1, 1] - points[i - 1, 1],
+                points[i + 1, 2] - points[i - 1, 2],
+            )
+            bx, by, bz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if length < 1e-9:
+                continue
+            towards = nx * points[i, 0] + ny * points[i, 1] + nz * points[i, 2]
+            sign = -1.0 / length if towards > 0.0 else 1.0 / length
+            nx, ny, nz = nx * sign, ny * sign, nz * sign
+            if nz > 0.7:
+                group[i] = 8
+            elif nz < -0.7:
+                group[i] = 9
+            else:
+                group[i] = np.int64((math.atan2(ny, nx) / (2.0 * math.pi) + 1.0) * 8.0) & 7
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def spread_by_group(keep, group, target, chosen):
+    """`spread`, but `target` is divided evenly among the groups (0..10) first; what small ones lack goes to others."""
+    counts, quotas, seen = np.zeros(11, np.int64), np.zeros(11, np.int64), np.zeros(11, np.int64)
+    for i in range(len(keep)):
+        if keep[i]:
+            counts[group[i]] += 1
+    left, open_groups = np.int64(target), np.count_nonzero(counts)
+    for _ in range(11):
+        smallest = -1
+        for g in range(11):
+            if counts[g] > 0 and quotas[g] == 0 and (smallest < 0 or counts[g] < counts[smallest]):
+                smallest = g
+        if smallest < 0 or left <= 0:
+            break
+        quotas[smallest] = min(counts[smallest], -(-left // open_groups))
+        left -= quotas[smallest]
+        open_groups -= 1
+    total = 0
+    for i in range(len(keep)):
+        chosen[i] = 0
+        if keep[i]:
+            g = group[i]
+            if (seen[g] + 1) * quotas[g] // counts[g] > seen[g] * quotas[g] // counts[g]:
+                chosen[i] = 1
+                total += 1
+            seen[g] += 1
+    return total

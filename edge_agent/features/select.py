@@ -29,32 +29,48 @@ class Selector:
         self._rank = np.empty(cells, np.uint8 if settings.corners_per_sector < 256 else np.uint16)
         self._kept = np.empty(cells, np.uint8)
         self._chosen = np.empty(cells, np.uint8)
+        self._group = np.empty(cells, np.uint8)
         self._slot_of = np.empty(cells, np.int32)
+        self._wanted = (0, 0)
         slots = 1 << (2 * columns - 1).bit_length()
         self._table = np.empty((slots, 4), np.int64)
         self._sums = np.empty((slots, 5))
 
-    def select(self, image: Image, found: FeatureMarks, dense: bool) -> tuple[FeatureSet, FeatureSet]:
-        """(corners, surfs) of an image of deskewed points. All copies."""
+    def find(self, image: Image, found: FeatureMarks, dense: bool) -> int:
+        """Looks for the features of an image of deskewed points; how many a frame of that kind would carry."""
         s, n = self.settings, len(image)
         picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
-        kernels.select_corners(
+        corners = kernels.select_corners(
             found.d, found.marks, image.column, picked, image.ring_start, s.sectors, s.corners_per_sector, rank
         )
         kernels.thin_surfs(
             image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._slot_of[:n], kept
         )
-        if dense:
+        surfs = int(np.count_nonzero(kept))
+        self._wanted = (corners, surfs) if dense else (min(corners, s.sparse_corners), min(surfs, s.sparse_surfs))
+        return sum(self._wanted)
+
+    def choose(
+        self, image: Image, found: FeatureMarks, dense: bool, share: float = 1.0
+    ) -> tuple[FeatureSet, FeatureSet]:
+        """(corners, surfs) out of what `find` has found in this image, or an even share of them. All copies."""
+        n = len(image)
+        rank, kept = self._rank[:n], self._kept[:n]
+        corners, surfs = (round(share * wanted) for wanted in self._wanted)
+        if dense and share >= 1.0:
             corner_index, surf_index = np.flatnonzero(rank), np.flatnonzero(kept)
+        elif dense:
+            corner_index = self._sharpest(rank, corners)
+            kernels.spread(kept, surfs, self._chosen[:n])
+            surf_index = np.flatnonzero(self._chosen[:n])
         else:
-            corner_index = self._sparse_corners(rank)
-            surf_index = self._sparse_surfs(kept, found)
+            corner_index = self._sharpest(rank, corners)
+            surf_index = self._facing_all_ways(image, kept, found, surfs)
         take = _taker(image)
         return take(corner_index), take(surf_index)
 
-    def _sparse_corners(self, rank: NDArray[np.unsignedinteger]) -> NDArray[np.int64]:
+    def _sharpest(self, rank: NDArray[np.unsignedinteger], target: int) -> NDArray[np.int64]:
         """The sharpest of every sector first, then the second of each, until there are enough."""
-        target = self.settings.sparse_corners
         per_rank = np.bincount(rank, minlength=self.settings.corners_per_sector + 1)
         per_rank[0] = 0
         total = np.cumsum(per_rank)
@@ -66,15 +82,20 @@ class Selector:
             whole |= chosen.view(bool)
         return np.flatnonzero(whole)
 
-    def _sparse_surfs(self, kept: NDArray[np.uint8], found: FeatureMarks) -> NDArray[np.int64]:
-        """Flat and reliable ones, evenly along all rings; rougher ones only when there are too few."""
-        target = self.settings.sparse_surfs
-        flat = kept.view(bool) & (found.marks == FLAT)
-        chosen = self._chosen[: len(kept)]
-        taken = kernels.spread(flat.view(np.uint8), target, chosen)
+    def _facing_all_ways(
+        self, image: Image, kept: NDArray[np.uint8], found: FeatureMarks, target: int
+    ) -> NDArray[np.int64]:
+        """Flat and reliable ones, evenly by which way they face; rougher ones only when there are too few.
+
+        Rusinkiewicz, Levoy, "Efficient variants of the ICP algorithm", 2001, section 3.1: normal-space sampling.
+        """
+        flat = (kept.view(bool) & (found.marks == FLAT)).view(np.uint8)
+        chosen, group = self._chosen[: len(kept)], self._group[: len(kept)]
+        kernels.facing(image.points_lidar, image.column, image.ring_start, flat, group)
+        taken = kernels.spread_by_group(flat, group, target, chosen)
         index = np.flatnonzero(chosen)
         if taken < target:
-            rest = (kept.view(bool) & ~flat).view(np.uint8)
+            rest = (kept.view(bool) & (flat == 0)).view(np.uint8)
             kernels.spread(rest, target - taken, chosen)
             index = np.sort(np.concatenate([index, np.flatnonzero(chosen)]))
         return index

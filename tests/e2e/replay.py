@@ -70,7 +70,7 @@ def trajectory(stamps_ns: list[int], poses: list[NDArray[np.float64]]) -> Trajec
 class _Service:
     """An uplink that is the map service itself."""
 
-    anchored = True
+    anchored, limit_kbps, backlog = True, None, False
 
     def __init__(self, pipeline: MapPipeline, beams: NDArray[np.float32], arrives: Arrives, out: Replayed) -> None:
         self._pipeline, self._beams, self._arrives, self._out = pipeline, beams, arrives, out

@@ -43,6 +43,7 @@ class FakeService(rpc.EdgeServiceServicer):
     window: int = 4
     credit_s: float = 0.2
     answer_delay_s: float = 0.0
+    advice: pb.Advice | None = None  # after the Welcome
     pose_x_m: Callable[[int], float] = float
     hellos: list[pb.Hello] = field(default_factory=list)
     route_keys: list[str] = field(default_factory=list)
@@ -105,6 +106,8 @@ class FakeService(rpc.EdgeServiceServicer):
         out: queue.Queue[pb.StreamResponse | None] = queue.Queue()
         out.put(pb.StreamResponse(welcome=self._welcome()))
         out.put(self._credit())
+        if self.advice is not None:
+            out.put(pb.StreamResponse(advice=self.advice))
         stream = _Connection(self, out, context)
         threading.Thread(target=stream.read, args=(request_iterator,), daemon=True).start()
         while True:

@@ -10,6 +10,7 @@ import pytest
 from edge_agent.dense import DensePolicy
 from edge_agent.loop import UNANCHORED, AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.rate import RateControl, RateSettings
 from edge_agent.reader import TimedEvent
 from edge_agent.settings import DenseSettings
 from edge_agent.sources import Event
@@ -67,7 +68,7 @@ class FakeImu:
 class FakePipeline:
     def __init__(self, log: Log, bad_stamps_ns: set[int]) -> None:
         self.log, self.bad, self.seq = log, bad_stamps_ns, 0
-        self.dense = DensePolicy(DenseSettings())
+        self.dense, self.rate = DensePolicy(DenseSettings()), RateControl(RateSettings())
 
     def process(self, packet: ScanPacket) -> EncodedFrame:
         if packet.scan.stamp_ns in self.bad:
@@ -82,6 +83,7 @@ class FakeUplink:
 
     def __init__(self, log: Log) -> None:
         self.log, self.ready, self.anchored, self.stop_at = log, [], True, 10**9
+        self.limit_kbps, self.backlog = 70.0, True
 
     def send(self, frame: pb.Frame) -> None:
         pose = np.eye(4)
@@ -139,6 +141,13 @@ def test_by_the_clock_an_answer_is_applied_as_soon_as_it_is_there():
     p, log = parts()
     AgentLoop(p, lockstep=False).run(batches(2))
     assert log == ["imu 3", "scan 1", "answer 1", "imu 3", "scan 2"]
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_the_uplink_s_limit_reaches_the_rate_control_and_a_backlog_only_by_the_clock(lockstep: bool):
+    p, _ = parts()
+    AgentLoop(p, lockstep).run(batches(1))
+    assert (p.pipeline.rate.limit_kbps, p.pipeline.rate.backlog) == (70.0, not lockstep)
 
 
 @pytest.mark.parametrize("lockstep", [True, False])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from edge_agent.metrics import EdgeMetrics, summary
+from edge_agent.rate import RateControl, RateSettings
 from edge_agent.sources.recording import Counts
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.tcp_meter import TcpBytes
@@ -78,8 +79,11 @@ def test_a_taken_port_is_one_line_that_names_the_key():
 def test_rates_go_by_recording_time_and_raw_is_the_papers_case_one():
     tally = Tally()
     tally.sent = 10
-    link = tally.link(TcpBytes(50_000, 10_000), 2.0, Counts(read_points=1000, imu_messages=100))
+    link = tally.link(
+        TcpBytes(50_000, 10_000), 2.0, Counts(read_points=1000, imu_messages=100), RateControl(RateSettings(), 300.0)
+    )
     raw_bytes = 18 * 1000 + 320 * 100
+    assert link["uplink"]["limit_kbps"] == 300.0
     assert link["uplink"]["kbps"] == 200.0
     assert link["uplink"]["bytes_per_scan"] == 5000.0
     assert link["uplink"]["raw_kbps"] == raw_bytes * 8 / 2000

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import pytest
 
 from edge_agent.config import UplinkConfig
+from edge_agent.dialogue import Dialogue
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
@@ -222,6 +223,41 @@ def test_an_outage_longer_than_the_buffer_drops_and_reports_but_goes_on():
     service.stop()
     assert kept == [10, 20, 23, 24, 25]
     assert service.reports[-1].dropped_by_reason == {"buffer_full": 15}
+
+
+@pytest.mark.parametrize(
+    ("configured", "advice", "limit"),
+    [(None, {"max_kbps": 120}, 120), (100, {"max_kbps": 120}, 100), (100, {"max_kbps": 80}, 80), (100, {}, 100)],
+)
+def test_the_lower_of_the_configured_and_the_advised_limit_holds(configured: float | None, advice: dict, limit: float):
+    settings = FAST.model_copy(update={"max_kbps": configured})
+    with FakeService(advice=pb.Advice(**advice)) as service, uplink_to(service.address, settings) as uplink:
+        assert len(send_all(uplink, 3)) == 3
+        assert uplink.limit_kbps == limit
+
+
+def test_a_wish_for_a_dense_frame_does_not_lift_the_advised_limit():
+    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
+    for advice, limit in ((pb.Advice(max_kbps=120), 120), (pb.Advice(want_dense=True), 120), (pb.Advice(), None)):
+        dialogue.receive(pb.StreamResponse(advice=advice), 0.0)
+        assert dialogue.limit_kbps == limit
+
+
+def test_a_backlog_is_sent_within_the_limit():
+    """20 frames of 2 kB wait when the service comes up: 32 kbit/s let 21 kB of them go at once, the rest in time."""
+    settings = FAST.model_copy(update={"max_kbps": 32, "answer_timeout_s": 10.0})
+    with FakeService(window=64) as service:
+        service.stop()
+        with uplink_to(service.address, settings) as uplink:
+            for seq in range(1, 14):
+                uplink.send(frame(seq))
+            assert uplink.backlog
+            service.start()
+            assert uplink.wait_welcome()
+            time.sleep(1.0)
+            assert 0 < len(service.received) <= 10
+            assert uplink.wait_answered(13)
+            assert not uplink.backlog
 
 
 def test_close_without_finish_leaves_the_session_open():

@@ -117,3 +117,38 @@ def thin(points: np.ndarray, rank: np.ndarray, ring_start: np.ndarray, leaf_m: f
             p = points[members].astype(np.float64)
             kept[members[int(np.argmin(((p - p.mean(axis=0)) ** 2).sum(axis=1)))]] = True
     return kept
+
+
+def facing(points: np.ndarray, column: np.ndarray, ring_start: np.ndarray, keep: np.ndarray) -> dict[int, int]:
+    groups, rings, c = {}, rings_of(ring_start), column.astype(int)
+    for row, ring in enumerate(rings):
+        outer = rings[row + 1] if row + 1 < len(rings) and len(rings[row + 1]) else rings[row - 1] if row else range(0)
+        for i in ring:
+            if not keep[i]:
+                continue
+            groups[i] = 10
+            if i - 1 not in ring or i + 1 not in ring or not len(outer):
+                continue
+            j = max(outer, key=lambda k: (-abs(c[k] - c[i]), k))
+            if abs(c[j] - c[i]) > 8:
+                continue
+            p = points.astype(np.float64)
+            normal = np.cross(p[i + 1] - p[i - 1], p[j] - p[i])
+            if np.linalg.norm(normal) < 1e-9:
+                continue
+            normal /= np.linalg.norm(normal)
+            normal *= -1 if normal @ p[i] > 0 else 1
+            if abs(normal[2]) > 0.7:
+                groups[i] = 8 if normal[2] > 0 else 9
+            else:
+                groups[i] = int(math.atan2(normal[1], normal[0]) % (2 * math.pi) / (math.pi / 4)) % 8
+    return groups
+
+
+def shares(counts: np.ndarray, target: int) -> np.ndarray:
+    """Points of each group, given one at a time to the group that has fewest of those that are not used up."""
+    out = np.zeros(len(counts), int)
+    for _ in range(min(target, int(counts.sum()))):
+        open_groups = np.flatnonzero(out < counts)
+        out[open_groups[np.argmin(out[open_groups])]] += 1
+    return out

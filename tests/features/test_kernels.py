@@ -156,3 +156,31 @@ def test_spread_takes_the_wanted_number_evenly(target: int):
     places = np.flatnonzero(chosen[keep == 1])
     if 1 < taken < keep.sum():
         assert np.diff(places).max() - np.diff(places).min() <= 1
+
+
+def test_which_way_surfaces_face_is_told_from_their_neighbours():
+    rng = np.random.default_rng(8)
+    ring_start = np.array([0, 90, 90, 92, 200, 300], np.int32)
+    column = columns_with_gaps(rng, ring_start)
+    azimuth, elevation = column * 0.02, np.radians(np.repeat(np.arange(5) * 4.0 - 8, np.diff(ring_start)))
+    p = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], axis=1)
+    points = (p * rng.uniform(4, 9, (300, 1))).astype(np.float32)
+    keep = (rng.random(300) < 0.7).astype(np.uint8)
+    group = np.full(300, 99, np.uint8)
+    kernels.facing(points, column, ring_start, keep, group)
+    expected = naive.facing(points, column, ring_start, keep)
+    assert {i: int(group[i]) for i in np.flatnonzero(keep)} == expected
+    assert len(set(expected.values())) >= 10
+
+
+@pytest.mark.parametrize("target", [0, 1, 7, 40, 111, 1000])
+def test_groups_share_alike_and_what_small_ones_lack_goes_to_the_others(target: int):
+    rng = np.random.default_rng(target)
+    keep = (rng.random(400) < 0.5).astype(np.uint8)
+    group = np.minimum(rng.geometric(0.4, 400) - 1, 10).astype(np.uint8)
+    chosen = np.full(400, 9, np.uint8)
+    taken = kernels.spread_by_group(keep, group, target, chosen)
+    counts = np.bincount(group[keep == 1], minlength=11)
+    assert taken == chosen.sum() == min(target, keep.sum())
+    assert np.all(keep[chosen == 1] == 1)
+    np.testing.assert_allclose(np.bincount(group[chosen == 1], minlength=11), naive.shares(counts, target), atol=1)

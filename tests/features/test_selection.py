@@ -21,7 +21,18 @@ def seen(scan: Scan) -> tuple[Image, FeatureMarks]:
 
 
 def features(scan: Scan, dense: bool, **settings: Any) -> tuple[FeatureSet, FeatureSet]:
-    return Selector(FeatureSettings(**settings), 16, 1800).select(*seen(scan), dense)
+    return chosen(*seen(scan), dense, **settings)
+
+
+def chosen(
+    image: Image, found: FeatureMarks, dense: bool, share: float = 1.0, **settings: Any
+) -> tuple[FeatureSet, FeatureSet]:
+    selector = Selector(FeatureSettings(**settings), 16, 1800)
+    wanted = selector.find(image, found, dense)
+    corners, surfs = selector.choose(image, found, dense, share)
+    if share == 1.0:
+        assert len(corners) + len(surfs) == wanted
+    return corners, surfs
 
 
 @pytest.mark.parametrize("dense", [True, False])
@@ -32,7 +43,7 @@ def test_every_feature_is_a_real_point_with_its_ring_time_and_intensity(dense: b
         for p, r, t, i in zip(scan.points_lidar, scan.ring, scan.t_offset_ns, scan.intensity, strict=True)
     }
     for chosen in features(scan, dense):
-        assert len(chosen) > 100
+        assert len(chosen) >= 100
         for p, r, t, i in zip(chosen.points_lidar, chosen.ring, chosen.t_offset_ns, chosen.intensity, strict=True):
             assert known[p.tobytes()] == (r, t, i)
 
@@ -64,6 +75,29 @@ def test_a_sparse_frame_has_the_wanted_numbers_on_all_rings_and_sides():
     assert np.histogram(azimuth, bins=6, range=(-np.pi, np.pi))[0].min() >= 40
 
 
+def test_a_sparse_frame_has_surfs_that_face_every_way_alike():
+    """However small a wall looks, it says as much about the pose as the floor does."""
+    _, every = features(made_scan(), dense=True)
+    _, surfs = features(made_scan(), dense=False, sparse_surfs=300)
+
+    def shares(p: np.ndarray) -> np.ndarray:
+        planes = np.abs([12 - p[:, 0], p[:, 0] + 9, 7 - p[:, 1], p[:, 1] + 14, p[:, 2] + 1.5])
+        counts = (planes < 0.15).sum(axis=1)
+        return counts / counts.sum()
+
+    assert np.ptp(shares(surfs.points_lidar)) < 0.7 * np.ptp(shares(every.points_lidar))
+
+
+@pytest.mark.parametrize("dense", [True, False])
+def test_a_share_of_a_frame_is_an_even_share_of_its_features(dense: bool):
+    image, found = seen(made_scan())
+    whole, part = (sum(map(len, chosen(image, found, dense, share))) for share in (1.0, 0.3))
+    assert part == pytest.approx(0.3 * whole, abs=2)
+    _, surfs = chosen(image, found, dense, 0.3)
+    azimuth = np.arctan2(surfs.points_lidar[:, 1], surfs.points_lidar[:, 0])
+    assert np.histogram(azimuth, bins=6, range=(-np.pi, np.pi))[0].min() > 0.04 * len(surfs)
+
+
 def test_a_sparse_frame_prefers_the_sharpest_corners():
     scan = made_scan()
     image, found = seen(scan)
@@ -90,6 +124,6 @@ def test_masked_points_are_never_corners():
     image, found = seen(scan)
     hidden = found.marks & MASKED > 0
     masked = {(int(r), int(c)) for r, c in zip(image.ring[hidden], image.column[hidden], strict=True)}
-    corners, _ = Selector(FeatureSettings(), 16, 1800).select(image, found, True)
+    corners, _ = chosen(image, found, True)
     assert len(masked) > 100
     assert not masked & {(int(r), int(c)) for r, c in zip(corners.ring, corners.column, strict=True)}

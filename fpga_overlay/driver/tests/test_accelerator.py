@@ -103,7 +103,7 @@ def test_the_receiving_side_is_started_first(opened) -> None:
 
 def test_interrupts_are_awaited_where_they_are_wired(opened) -> None:
     """PYNQ's own wait_async; in the place of the kernel's UIO file something that is set."""
-    accelerator, device = opened()
+    accelerator, device = opened(timeout_s=5.0)
     dma = accelerator._link._dma
     waits = []
 

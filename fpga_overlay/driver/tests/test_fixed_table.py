@@ -3,9 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from edge_agent.deskew.fixed_table import fixed_table
 from edge_agent.deskew.reference import deskew_float64
+from edge_agent.features.integer import Limits
 from fpga_overlay.driver.errors import AcceleratorError
-from fpga_overlay.driver.table import fixed_table
+from fpga_overlay.driver.request import RequestWriter
+from fpga_overlay.driver.self_test import made_scan
 from fpga_overlay.golden import packet
 from fpga_overlay.golden.deskew import deskew
 from splitslam.features import Knots
@@ -78,9 +81,11 @@ def test_knots_that_end_before_the_scan_begins_hold_their_last_pose() -> None:
     np.testing.assert_allclose(out, deskew_float64(p, np.array([0, 0]), knots), atol=DESKEW_FPGA_M)
 
 
-def test_a_motion_that_cannot_be_is_refused() -> None:
+def test_a_motion_that_cannot_be_is_refused_by_the_logic() -> None:
     knots = turning(imu_offsets(200), FAST_TURN_RADPS)
     far = Knots(knots.offsets_ns, knots.rotation, knots.translation_m + 300.0)
+    assert not fixed_table(far, np.empty((256, 28), np.int32)).fits
+    writer = RequestWriter(16, 1800, Limits(307, 1024, 324, 6))
     with pytest.raises(AcceleratorError, match="fixed point") as error:
-        fixed_table(far, np.empty((256, 28), np.int32))
+        writer.write(made_scan(16), far, 1, np.empty((10_000, 4), np.uint32))
     assert error.value.reason == "motion"

@@ -1,0 +1,152 @@
+"""Rate control: how many features the next frame may carry, so that the uplink keeps its budget.
+
+Time is the recording's. In every window of 5 s the bytes stay below the budget, and close to it while features are
+withheld. Points go before frames: a frame is only left out when not even its motion and a handful of points fit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from pydantic import Field
+
+from splitslam.config import Model
+
+WINDOW_NS = 5_000_000_000
+BYTES_PER_KBIT = 125.0
+
+
+class RateSettings(Model):
+    """How the budget is used. Shares are of the budget."""
+
+    target: float = Field(default=0.93, gt=0, le=1, description="mean use while features are withheld")
+    ceiling: float = Field(default=1.0, gt=0, le=1.1, description="largest use of any window")
+    largest_frame: float = Field(default=0.25, gt=0, le=1, description="of one window, for one frame")
+    backlog_share: float = Field(default=0.7, gt=0, le=1, description="for new frames while old ones wait to be sent")
+    horizon_s: float = Field(default=1.5, gt=0, description="in which a window's surplus or lack is evened out")
+    fewest_points: int = Field(default=60, ge=1, description="no frame is worth sending with fewer")
+    fewest_dense_points: int = Field(default=500, ge=1, description="a keyframe of fewer maps nothing")
+    frame_overhead_bytes: int = Field(
+        default=140, ge=0, description="around a payload: envelope, gRPC, HTTP/2, reports"
+    )
+
+
+@dataclass(slots=True)
+class _Kind:
+    """Running means of one kind of frame, sparse or dense."""
+
+    fixed_bytes: float
+    bytes_per_point: float
+    points: float  # if none were withheld
+    per_s: float
+    fewest: int
+
+    @property
+    def least_bytes(self) -> float:
+        """Of a frame with the fewest points."""
+        return self.fixed_bytes + min(self.fewest, self.points) * self.bytes_per_point
+
+    @property
+    def spare_bytes(self) -> float:
+        """What a frame with all its points takes beyond that."""
+        return max(self.points - self.fewest, 0.0) * self.bytes_per_point
+
+
+class RateControl:
+    """One uplink's budget. limit_kbps: None for no limit; may change at any time.
+
+    backlog: old frames wait to be sent. withheld_points: so far.
+    """
+
+    def __init__(self, settings: RateSettings, limit_kbps: float | None = None) -> None:
+        self.settings, self.backlog = settings, False
+        self._limit_kbps = limit_kbps
+        self.withheld_points = 0
+        self._sent: deque[tuple[int, int]] = deque()  # (stamp_ns, bytes) of the last window
+        self._sum = 0
+        overhead = settings.frame_overhead_bytes
+        self._kinds = {
+            False: _Kind(200.0 + overhead, 2.0, 300.0, 9.0, settings.fewest_points),
+            True: _Kind(300.0 + overhead, 1.6, 4000.0, 1.0, settings.fewest_dense_points),
+        }
+        self._last_ns: int | None = None
+
+    @property
+    def limit_kbps(self) -> float | None:
+        """The budget. A lower one counts from now on: what was sent under the old one weighs as if under the new."""
+        return self._limit_kbps
+
+    @limit_kbps.setter
+    def limit_kbps(self, limit_kbps: float | None) -> None:
+        before, self._limit_kbps = self._limit_kbps, limit_kbps
+        if limit_kbps is None or limit_kbps == before:
+            return
+        allowed = self._budget() * self.settings.target * WINDOW_NS * 1e-9
+        if self._sum > allowed:
+            shrink = allowed / self._sum
+            self._sent = deque((stamp_ns, int(size * shrink)) for stamp_ns, size in self._sent)
+            self._sum = sum(size for _, size in self._sent)
+
+    def admits(self, stamp_ns: int) -> bool:
+        """Is there room for a frame at all? If not, the scan is left out before anything is done with it."""
+        if self.limit_kbps is None:
+            return True
+        return self._kinds[False].least_bytes <= self._room(stamp_ns)
+
+    def points(self, stamp_ns: int, dense: bool, wanted: int) -> int:
+        """How many of the `wanted` points the frame may carry."""
+        kind = self._kinds[dense]
+        kind.points += 0.3 * (wanted - kind.points)
+        if self.limit_kbps is None:
+            return wanted
+        room = (self._room(stamp_ns) - kind.fixed_bytes) / kind.bytes_per_point
+        allowed = min(kind.fewest + self._share(stamp_ns) * (wanted - kind.fewest), room)
+        return min(wanted, max(int(allowed), self.settings.fewest_points))
+
+    def fits(self, stamp_ns: int, payload_bytes: int) -> bool:
+        """Does an encoded frame fit the window?"""
+        return self.limit_kbps is None or payload_bytes + self.settings.frame_overhead_bytes <= self._room(stamp_ns)
+
+    def sent(self, stamp_ns: int, dense: bool, points: int, wanted: int, payload_bytes: int) -> None:
+        """Books a frame."""
+        size = payload_bytes + self.settings.frame_overhead_bytes
+        self.withheld_points += wanted - points
+        self._sent.append((stamp_ns, size))
+        self._sum += size
+        kind = self._kinds[dense]
+        if points > 0:
+            kind.bytes_per_point += 0.2 * (max(size - kind.fixed_bytes, 0.0) / points - kind.bytes_per_point)
+        if self._last_ns is not None and stamp_ns > self._last_ns:
+            dt = (stamp_ns - self._last_ns) * 1e-9
+            for which, other in self._kinds.items():
+                other.per_s += min(dt / 3.0, 1.0) * ((which == dense) / dt - other.per_s)
+        self._last_ns = stamp_ns
+
+    def _budget(self) -> float:
+        """Bytes a second for new frames."""
+        assert self._limit_kbps is not None
+        return self._limit_kbps * BYTES_PER_KBIT * (self.settings.backlog_share if self.backlog else 1.0)
+
+    def _used(self, stamp_ns: int) -> int:
+        while self._sent and self._sent[0][0] <= stamp_ns - WINDOW_NS:
+            self._sum -= self._sent.popleft()[1]
+        return self._sum
+
+    def _room(self, stamp_ns: int) -> float:
+        """Bytes that one frame may take now."""
+        window = self._budget() * WINDOW_NS * 1e-9
+        left = self.settings.ceiling * window - self._used(stamp_ns)
+        return min(left, self.settings.largest_frame * window)
+
+    def _share(self, stamp_ns: int) -> float:
+        """The share of the points beyond the fewest with which frames use the target and even out the window."""
+        s, budget = self.settings, self._budget()
+        window_s = WINDOW_NS * 1e-9
+        lack = s.target * budget * window_s - self._used(stamp_ns)  # of a whole window; none has passed at a start
+        passed_s = min((stamp_ns - self._sent[0][0]) * 1e-9 if self._sent else 0.0, window_s)
+        lack -= s.target * budget * (window_s - passed_s)
+        rate = s.target * budget + lack / s.horizon_s
+        least = sum(kind.per_s * kind.least_bytes for kind in self._kinds.values())
+        spare = sum(kind.per_s * kind.spare_bytes for kind in self._kinds.values())
+        return max(rate - least, 0.0) / max(spare, 1.0)

@@ -1,0 +1,102 @@
+"""Rate control against a made uplink: frames whose size follows their points, dense ones now and then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from edge_agent.rate import RateControl, RateSettings
+
+SCAN_NS = 100_000_000
+OVERHEAD = RateSettings().frame_overhead_bytes
+
+
+@dataclass
+class Run:
+    """What a run sent, by frame: stamps, bytes all in, points withheld; and the scans left out."""
+
+    stamps_ns: np.ndarray
+    sizes: np.ndarray
+    withheld: np.ndarray
+    left_out: int
+
+    def windows(self, length_s: float = 5.0) -> np.ndarray:
+        """Bytes of every window that begins with a frame, whole ones only."""
+        starts = self.stamps_ns[self.stamps_ns <= self.stamps_ns[-1] - length_s * 1e9]
+        ends = np.searchsorted(self.stamps_ns, starts + int(length_s * 1e9))
+        total = np.concatenate([[0], np.cumsum(self.sizes)])
+        return total[ends] - total[np.searchsorted(self.stamps_ns, starts)]
+
+
+def drive(control: RateControl, scans: int, dense_every: int, bits: float = 15.0, seed: int = 0, start: int = 0) -> Run:
+    """scans at 10 Hz; a point costs `bits` +- 20 %, a frame 160 bytes besides; a dense one has 5,000 points."""
+    rng = np.random.default_rng(seed)
+    rows, left_out = [], 0
+    for k in range(start, start + scans):
+        stamp_ns, dense = k * SCAN_NS, k % dense_every == 0
+        if not control.admits(stamp_ns):
+            left_out += 1
+            continue
+        wanted = int(5000 * rng.uniform(0.8, 1.2)) if dense else 400
+        points = control.points(stamp_ns, dense, wanted)
+        while True:
+            payload = int(160 + points * bits * rng.uniform(0.8, 1.2) / 8)
+            if control.fits(stamp_ns, payload) or points <= control.settings.fewest_points:
+                break
+            points = int(0.8 * points)
+        control.sent(stamp_ns, dense, points, wanted, payload)
+        rows.append((stamp_ns, payload + OVERHEAD, wanted - points))
+    stamps_ns, sizes, withheld = np.array(rows, np.int64).T
+    return Run(stamps_ns, sizes, withheld, left_out)
+
+
+def test_without_a_limit_nothing_is_withheld():
+    run = drive(RateControl(RateSettings()), 300, 10)
+    assert run.withheld.sum() == run.left_out == 0
+
+
+@pytest.mark.parametrize("kbps", [60, 70, 120, 250])
+@pytest.mark.parametrize("dense_every", [3, 10, 50])
+def test_every_window_keeps_the_budget_and_uses_it_while_points_are_withheld(kbps: int, dense_every: int):
+    run = drive(RateControl(RateSettings(), kbps), 600, dense_every)
+    budget = kbps * 125 * 5
+    windows = run.windows()
+    assert windows.max() <= 1.10 * budget
+    assert run.left_out == 0
+    withheld = np.array([run.withheld[k : k + 50].any() for k in range(len(windows))])
+    settled = np.arange(len(windows)) > 50
+    assert np.all(windows[withheld & settled] >= 0.7 * budget)
+    if kbps <= 70:
+        assert withheld.sum() > 500
+
+
+def test_a_generous_budget_withholds_nothing():
+    run = drive(RateControl(RateSettings(), 2000), 300, 10)
+    assert run.withheld.sum() == 0
+
+
+def test_points_go_before_frames_and_frames_only_when_nothing_fits():
+    assert drive(RateControl(RateSettings(), 50), 300, 10).left_out == 0
+    starved = drive(RateControl(RateSettings(), 15), 300, 10)
+    assert starved.left_out > 100
+    assert starved.windows().max() <= 1.10 * 15 * 125 * 5
+
+
+def test_a_limit_that_falls_takes_effect_at_once_without_a_silence_and_one_that_rises_is_used():
+    control = RateControl(RateSettings(), 300)
+    drive(control, 200, 10)
+    control.limit_kbps = 70
+    low = drive(control, 200, 10, start=200)
+    assert low.left_out == 0
+    assert low.windows().max() <= 1.10 * 70 * 125 * 5
+    control.limit_kbps = None
+    assert drive(control, 100, 10, start=400).withheld.sum() == 0
+
+
+def test_while_old_frames_wait_new_ones_leave_them_room():
+    control = RateControl(RateSettings(), 100)
+    control.backlog = True
+    run = drive(control, 300, 10)
+    assert run.windows().max() <= 0.75 * 100 * 125 * 5
