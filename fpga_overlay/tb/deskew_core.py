@@ -73,6 +73,16 @@ async def every_27_bit_table_is_followed_to_the_bit(dut):
 
 
 @cocotb.test()
+async def points_of_any_bits_are_answered(dut):
+    """Nothing that a point's 128 bits can be stops the core or goes another way than the golden model's."""
+    rng = np.random.default_rng(SEED)
+    table = packets.any_table(rng, packets.breaks(rng, 20, packets.LAST_TICK))
+    noise = rng.integers(0, 1 << 32, (1_000, 4), dtype=np.uint32)
+    noise[::2, :3] = noise[::2, :3] & 0x83FFFFFF | rng.integers(0x38, 0x46, (500, 3), dtype=np.uint32) << 24
+    await check_sound(dut, [one(noise, table, size=(255, 2048)), one(noise, size=(200, 1800))])
+
+
+@cocotb.test()
 async def the_next_table_leaves_points_in_flight_alone(dut):
     """Back to back, and short, so that tables are written while points of the packets before are searched."""
     rng = np.random.default_rng(SEED)
