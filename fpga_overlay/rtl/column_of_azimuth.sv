@@ -1,10 +1,11 @@
-// Column of the range image: LIO-SAM's, counter-clockwise, +x in the middle, halves rounded away from zero; 4 clocks later.
+// Column of the range image: LIO-SAM's, counter-clockwise, +x in the middle, halves rounded away from zero.
+// A column a clock, 4 clocks later. Of odd widths the golden model knows a column -1; this does not.
 `default_nettype none
 
 module column_of_azimuth (
     input  wire                clk,
     input  wire  signed [26:0] angle,    // 2^-27 turns
-    input  wire         [11:0] columns,  // of the image, even, of the same clock as the angle
+    input  wire         [11:0] columns,  // of the image, even
     output logic        [11:0] column
 );
   // 1: angle * columns, 2^-27 columns

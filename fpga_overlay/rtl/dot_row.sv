@@ -1,7 +1,7 @@
 // A row of the 3x4 matrix times (x, y, z, 1), rounded and saturated to 24 bits; a point a clock, 6 clocks later.
 //
-// A coordinate is its low 17 bits + its high 7 bits * 2^17: each product fits a 27x18 multiplier, and the 17 lowest bits
-// of the low sum touch the result by their carry alone.
+// A coordinate is its low 17 bits + its high 7 bits * 2^17: each product fits a 27x18 multiplier, and the 17 lowest
+// bits of the low sum touch the result by their carry alone.
 `default_nettype none
 
 module dot_row (

@@ -36,7 +36,9 @@ module float_to_fixed (
     significand <= {1'b1, fraction};
     distance    <= (right > 8'd24) ? 5'd24 : right[4:0];
     negative    <= {negative[1:0], number[31]};
-    too_large       <= {too_large[1:0], exponent >= FIRST_TOO_LARGE || (exponent == FIRST_TOO_LARGE - 8'd1 && &fraction)};
+    too_large   <= {
+      too_large[1:0], exponent >= FIRST_TOO_LARGE || (exponent == FIRST_TOO_LARGE - 8'd1 && &fraction)
+    };
 
     coarse <= significand >> {distance[4:2], 2'b00};
     rest   <= distance[1:0];

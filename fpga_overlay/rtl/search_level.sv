@@ -1,7 +1,7 @@
 // One level of the binary search for a tick's segment: 2^LEVEL first ticks for each of two tables, one clock.
 //
-// Level L holds the elements i = (2 k + 1) * 2^(7-L), k = 0 to 2^L - 1: those that a search still undecided in 8 - L bits
-// of the segment's number compares with. Elements beyond the table's last one count as greater than any tick.
+// Level L holds the elements i = (2 k + 1) * 2^(7-L), k = 0 to 2^L - 1: those that a search compares with which knows
+// the upper L bits of its answer. Elements beyond the table's last one count as greater than any tick.
 `default_nettype none
 
 module search_level #(

@@ -61,7 +61,7 @@ def baseline(mutations: Sequence[Mutation]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="deliberate mistakes in the RTL, each caught by a named test")
     parser.add_argument("names", nargs="*", help="only these mutations")
     options = parser.parse_args()
     mutations = [m for m in all_mutations() if not options.names or m.name in options.names]

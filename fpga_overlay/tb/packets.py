@@ -82,7 +82,7 @@ def points_at(xyz: object, ring: object = 0, tick: object = 0) -> Beats:
 
 def ticks_around(first_ticks: NDArray[np.int32]) -> NDArray[np.int32]:
     """Before, at and after every break, where dt saturates, and the ends of time."""
-    far = np.int64(first_ticks)[:, None] + [-1, 0, 1, (1 << DT_BITS) - 1, 1 << DT_BITS, (1 << DT_BITS) + 1]
+    far = first_ticks.astype(np.int64)[:, None] + [-1, 0, 1, (1 << DT_BITS) - 1, 1 << DT_BITS, (1 << DT_BITS) + 1]
     return np.unique(np.clip(np.append(far, [0, LAST_TICK]), 0, LAST_TICK)).astype(np.int32)
 
 

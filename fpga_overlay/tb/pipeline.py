@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from cocotb.handle import SimHandleBase
 from cocotb.triggers import Timer
 
 from fpga_overlay.golden.fixed import Ints
 
 
-async def through(dut: SimHandleBase, latency: int, outputs: str | list[str], **inputs: Ints) -> dict[str, Ints]:
+async def through(dut: Any, latency: int, outputs: str | list[str], **inputs: Sequence[int] | Ints) -> dict[str, Ints]:
     """What comes out `latency` clocks after each set of inputs, as unsigned numbers. inputs: port -> (N,)."""
     names = outputs.split() if isinstance(outputs, str) else outputs
     count = len(next(iter(inputs.values())))

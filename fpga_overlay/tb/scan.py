@@ -43,7 +43,8 @@ def turning_scan(segment_ns: int = 400_000) -> Scan:
     times_ns = np.arange(0, SPAN_NS + 1, KNOT_NS)
     axis = np.array([0.3, -0.4, 0.866]) / np.linalg.norm([0.3, -0.4, 0.866])
     seconds = times_ns[:, None] * 1e-9
-    knots = Knots(times_ns, seconds * RATE_RADPS * axis, seconds * SPEED_MPS * np.array([0.9, 0.4, -0.1]))
+    travelled = (seconds * SPEED_MPS * np.array([0.9, 0.4, -0.1])).astype(np.float64)
+    knots = Knots(times_ns, seconds * RATE_RADPS * axis, travelled)
     table = fixed_table(knots, segment_ns)
 
     column, ring = np.divmod(np.arange(RINGS * COLUMNS), RINGS)

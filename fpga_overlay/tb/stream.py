@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from cocotb.handle import SimHandleBase
 from cocotb.triggers import Timer
 
 from fpga_overlay.golden.packet import Beats
@@ -56,11 +56,17 @@ def to_beats(words: Sequence[int]) -> Beats:
 class Stream:
     """Drives `dut`: clk, rst_n, s_axis_t{data,valid,ready,last}, m_axis_t{data,valid,ready,last}."""
 
-    def __init__(self, dut: SimHandleBase) -> None:
+    def __init__(self, dut: Any) -> None:
         self.dut = dut
         self.cycles = 0
-        self.first_in: int | None = None  # clocks of the last `run`'s first beat in and last beat out
+        self.first_in: int | None = None  # when the last `run` had its first beat in and its last beat out
         self.last_out = 0
+
+    @property
+    def clocks(self) -> int:
+        """Of the last `run`: first beat in to last beat out, both included."""
+        assert self.first_in is not None
+        return self.last_out - self.first_in + 1
 
     async def reset(self, clocks: int = 4) -> None:
         """Leaves the core out of reset with nothing offered and nothing taken."""
