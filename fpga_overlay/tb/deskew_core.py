@@ -10,10 +10,10 @@ from cocotb.handle import SimHandleBase
 
 from fpga_overlay.golden import packet
 from fpga_overlay.golden.packet import Beats, Header
-from fpga_overlay.tb import packets
+from fpga_overlay.tb import compare, packets
 from fpga_overlay.tb.packets import Packet
 from fpga_overlay.tb.scan import turning_scan
-from fpga_overlay.tb.stream import IDLE_PATTERNS, Stream, pattern
+from fpga_overlay.tb.stream import IDLE_PATTERNS, Stream
 from tests import tolerances
 
 SEED = int(os.environ.get("SEED", "7"))
@@ -21,17 +21,7 @@ SEED = int(os.environ.get("SEED", "7"))
 
 async def check(dut: SimHandleBase, sent: list[Beats], expected: list[Beats], idle="never", stall="never") -> Stream:
     """Sends packets back to back into a core fresh from reset and compares every beat that comes back."""
-    stream = Stream(dut)
-    await stream.reset()
-    answers = await stream.run(sent, pattern(idle, 1), pattern(stall, 2))
-    for n, (got, want) in enumerate(zip(answers, expected, strict=True)):
-        assert got.shape == want.shape, f"packet {n}: {len(got)} beats, expected {len(want)}"
-        wrong = np.flatnonzero((got != want).any(axis=1))
-        assert not len(wrong), (
-            f"packet {n}: {len(wrong)} of {len(want)} beats differ, first {wrong[0]}: "
-            f"{[f'{w:08x}' for w in got[wrong[0]]]}, expected {[f'{w:08x}' for w in want[wrong[0]]]}"
-        )
-    return stream
+    return await compare.check(dut, list(zip(sent, expected, strict=True)), idle, stall)
 
 
 async def check_sound(dut: SimHandleBase, sent: list[Packet], idle="never", stall="never") -> Stream:

@@ -1,8 +1,8 @@
 """`python -m fpga_overlay.tb.mutations [NAME ...]`: deliberate mistakes in the RTL, each caught by a named test.
 
 A mistake is made in a copy. The lists are the `MUTATIONS` of the files `mutations_*.py` beside this one. Prints a
-table; exit code 1 if a mistake survives its test, does not apply (its text must occur once) or does not build, or if
-a test fails without any.
+table; exit code 1 if a mistake survives its test, does not apply (its text must occur once) or breaks the tools, or
+if a test fails without any.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 
 from fpga_overlay.modules import RTL
 from fpga_overlay.tb.mutation import Mutation
-from fpga_overlay.tb.simulation import REPOSITORY, BuildFailed, SimulationFailed, simulate
+from fpga_overlay.tb.simulation import REPOSITORY, SimulationFailed, ToolFailed, simulate
 
 COPIES = REPOSITORY / "build" / "fpga" / "mutations"
 CAUGHT = "caught"
@@ -44,8 +44,8 @@ def verdict(mutation: Mutation) -> str:
         simulate(mutation.top, mutation.bench, parameters, only=mutation.only, rtl=copy, flags=["-Wno-fatal"])
     except SimulationFailed:
         return CAUGHT
-    except BuildFailed as error:
-        return f"does not build: {error}"
+    except ToolFailed as error:
+        return f"breaks the tools: {error}"
     return "SURVIVES"
 
 

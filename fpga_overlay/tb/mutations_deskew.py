@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from fpga_overlay.tb.mutation import Mutation
 
+ARITHMETIC = "fpga_overlay.tb.arithmetic"  # where the whole core cannot tell: the column is the same
+
 MUTATIONS = [
     # Packets and tables
     Mutation(
@@ -181,7 +183,9 @@ MUTATIONS = [
         "cordic_azimuth.sv",
         "if (y == '0) left_below[0] <= 1'b0;",
         "",
-        "azimuths_on_axes_and_column_borders_round_as_told",
+        test="cordic_azimuth",
+        top="cordic_azimuth",
+        bench=ARITHMETIC,
     ),
     Mutation(
         "v-too-narrow",
@@ -195,7 +199,9 @@ MUTATIONS = [
         "column_of_azimuth.sv",
         "(!product[39] || |product[25:0])",
         "1'b1",
-        "azimuths_on_axes_and_column_borders_round_as_told",
+        test="column_of_azimuth",
+        top="column_of_azimuth",
+        bench=ARITHMETIC,
     ),
     Mutation(
         "last-column",

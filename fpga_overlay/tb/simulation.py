@@ -38,12 +38,12 @@ class SimulationFailed(AssertionError):
     """A cocotb test that failed; the text ends with the simulator's last lines."""
 
 
-class BuildFailed(Exception):
-    """Verilator or the compiler refused; the text is what they said last."""
+class ToolFailed(Exception):
+    """Verilator, the compiler or the simulator itself failed; the text is what it said last."""
 
 
 def build(top: str, parameters: Mapping[str, int] | None = None, rtl: Path = RTL, flags: Sequence[str] = ()) -> Path:
-    """The folder with the simulation's executable, named `top`. flags: more of Verilator's. BuildFailed if it fails."""
+    """The folder with the simulation's executable, named `top`. flags: more of Verilator's. ToolFailed if it fails."""
     files = sources(top, rtl)
     options = [f"-G{name}={value}" for name, value in sorted((parameters or {}).items())] + list(flags)
     digest = hashlib.sha256(repr([verilator.__version__, cocotb_config.libs_dir, top, options, _FLAGS]).encode())
@@ -92,8 +92,10 @@ def simulate(
             log_file=log,
         )
         ran, failed = get_results(results)
-    except (RuntimeError, SystemExit) as error:
-        raise SimulationFailed(f"{test_module} on {top}: {error}\n{_tail(log)}") from error
+    except SystemExit as error:
+        raise SimulationFailed(f"{test_module} on {top}: failed\n{_tail(log)}") from error
+    except RuntimeError as error:
+        raise ToolFailed(f"{test_module} on {top}: {error}\n{_tail(log)}") from error
     if failed or not ran:
         raise SimulationFailed(f"{test_module} on {top}: {failed} of {ran} failed\n{_tail(log)}")
     shutil.rmtree(work)
@@ -152,7 +154,7 @@ def _call(command: list[object], folder: Path) -> None:
     with (folder / "build.log").open("a") as log:
         log.write(done.stdout)
     if done.returncode:
-        raise BuildFailed("\n".join(done.stdout.splitlines()[-25:]))
+        raise ToolFailed("\n".join(done.stdout.splitlines()[-25:]))
 
 
 @contextmanager

@@ -90,7 +90,7 @@ proc assign_addresses {} {
         assign axi_dma_0/$space zynq_ultra_ps_e_0/$port/${name}_DDR_LOW 0x00000000 2G
         foreach segment [get_bd_addr_segs -quiet zynq_ultra_ps_e_0/$port/*] {
             if {![string match *_DDR_LOW $segment]} {
-                exclude_bd_addr_seg -target_address_space [get_bd_addr_spaces axi_dma_0/$space] $segment
+                exclude_bd_addr_seg -quiet -target_address_space [get_bd_addr_spaces axi_dma_0/$space] $segment
             }
         }
     }
