@@ -74,7 +74,9 @@ proc connect_clock_and_reset {} {
     }
     connect_pin zynq_ultra_ps_e_0/pl_resetn0 reset_0/ext_reset_in
     connect_pin reset_0/interconnect_aresetn {control/aresetn read_path/aresetn write_path/aresetn}
-    connect_pin reset_0/peripheral_aresetn {axi_dma_0/axi_resetn axi_intc_0/s_axi_aresetn splitslam_0/aresetn}
+    connect_pin reset_0/peripheral_aresetn {axi_dma_0/axi_resetn axi_intc_0/s_axi_aresetn}
+    # The DMA's reset, and its soft reset after a time-out: without it the cores would wait for the rest of a cut packet.
+    connect_pin axi_dma_0/mm2s_prmry_reset_out_n splitslam_0/aresetn
 }
 
 proc assign {space segment offset range} {

@@ -210,7 +210,8 @@ def test_one_clock_and_its_resets_reach_every_block(tmp_path: Path) -> None:
     assert {load.split("/")[0] for load in clocked} == blocks | {"zynq_ultra_ps_e_0"}
     assert all("clk" in load for load in clocked)
     resets = {load.split("/")[0] for driver, load in made if driver.startswith("reset_0/")}
-    assert resets == blocks - {"reset_0"}
+    assert resets == blocks - {"reset_0", "splitslam_0"}
+    assert ("axi_dma_0/mm2s_prmry_reset_out_n", "splitslam_0/aresetn") in made  # the soft reset after a time-out too
 
 
 def test_data_goes_from_memory_through_the_cores_and_back_by_ports_of_its_own(tmp_path: Path) -> None:
