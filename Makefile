@@ -58,8 +58,9 @@ $(FPGA): pyproject.toml requirements/fpga.txt
 demo: setup ## a made drive through both programs: trajectory, map, report.html
 	@$(BIN)/splitslam demo
 
-test: setup ## every test; the recordings in ../shared/data or $SPLITSLAM_DATA
+test: setup ## every test, the overlay's too; the recordings in ../shared/data or $SPLITSLAM_DATA
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	@$(MAKE) --no-print-directory fpga-test
 
 fpga-test: fpga-setup ## the overlay's own tests: cores on Verilator, driver, device behind PYNQ
 	@.venv-fpga/bin/python -m pytest fpga_overlay -n $(WORKERS) --dist worksteal

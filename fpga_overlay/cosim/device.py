@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import importlib
 import itertools
 import logging
 from pathlib import Path
@@ -89,10 +91,8 @@ class CosimDevice(pynq.Device):
 
     def get_bitfile_metadata(self, bitfile_name: str, partial: bool = False):
         """The hand-off as PYNQ's runtime sees it."""
-        from pynqmetadata.frontends import Metadata
-        from pynqmetadata.views.runtime import RuntimeMetadataParser
-
-        parser = RuntimeMetadataParser(Metadata(input=Path(bitfile_name)))
+        metadata = importlib.import_module("pynqmetadata.frontends").Metadata(input=Path(bitfile_name))
+        parser = importlib.import_module("pynqmetadata.views.runtime").RuntimeMetadataParser(metadata)
         parser.clock_dict = {}  # there is no processing system whose clocks could be set
         return parser
 
@@ -166,9 +166,7 @@ def header_of(beats: Beats) -> Header:
 
 
 def _octets(vaddr: int, nbytes: int) -> np.ndarray:
-    import ctypes
-
-    return np.frombuffer((ctypes.c_uint8 * nbytes).from_address(vaddr), np.uint8)
+    return np.ctypeslib.as_array((ctypes.c_uint8 * nbytes).from_address(vaddr))
 
 
 def _power_of_two(value: int) -> int:

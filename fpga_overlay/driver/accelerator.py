@@ -49,8 +49,10 @@ class Accelerator:
     def open_cosim(cls, rings: int, columns: int, limits: Limits) -> Accelerator:
         """The same driver over the cores on Verilator, behind PYNQ's device interface. InputError: cannot be built."""
         check_fits(rings, columns, limits)
-        from fpga_overlay.cosim.device import CosimDevice, VerilatedLogic
-
+        try:
+            from fpga_overlay.cosim.device import CosimDevice, VerilatedLogic
+        except ImportError as error:
+            raise InputError(f"deskew cosim: it needs a checkout of the repository ({error})") from None
         return cls.on_device(CosimDevice(VerilatedLogic(rings, columns)), rings, columns, limits)
 
     @classmethod

@@ -34,8 +34,9 @@ def made_knots() -> Knots:
     """A fast turn to the left at a run, from 1 ms after the scan's start to 1 ms before its end."""
     offsets = np.arange(1_000_000, _SCAN_NS, 2_000_000)
     t = offsets * 1e-9
-    rotation = np.stack([0.05 * np.sin(9 * t), 0.2 * t, _TURN_RADPS * t], axis=1)
-    return Knots(offsets, rotation, np.stack([1.4 * t, 0.3 * t * t, 0.05 * np.sin(12 * t)], axis=1))
+    rotation = np.stack([0.05 * np.sin(9 * t), 0.2 * t, _TURN_RADPS * t], axis=1, dtype=np.float64)
+    translation = np.stack([1.4 * t, 0.3 * t * t, 0.05 * np.sin(12 * t)], axis=1, dtype=np.float64)
+    return Knots(offsets, rotation, translation)
 
 
 def first_difference(request: Request, answer: Beats) -> str:

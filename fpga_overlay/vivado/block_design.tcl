@@ -74,7 +74,9 @@ proc connect_clock_and_reset {} {
     }
     connect_pin zynq_ultra_ps_e_0/pl_resetn0 reset_0/ext_reset_in
     connect_pin reset_0/interconnect_aresetn {control/aresetn read_path/aresetn write_path/aresetn}
-    connect_pin reset_0/peripheral_aresetn {axi_dma_0/axi_resetn axi_intc_0/s_axi_aresetn splitslam_0/aresetn}
+    connect_pin reset_0/peripheral_aresetn {axi_dma_0/axi_resetn axi_intc_0/s_axi_aresetn}
+    # The DMA's reset, and its soft reset after a time-out: without it the cores would wait for the rest of a cut packet.
+    connect_pin axi_dma_0/mm2s_prmry_reset_out_n splitslam_0/aresetn
 }
 
 proc assign {space segment offset range} {
@@ -90,7 +92,7 @@ proc assign_addresses {} {
         assign axi_dma_0/$space zynq_ultra_ps_e_0/$port/${name}_DDR_LOW 0x00000000 2G
         foreach segment [get_bd_addr_segs -quiet zynq_ultra_ps_e_0/$port/*] {
             if {![string match *_DDR_LOW $segment]} {
-                exclude_bd_addr_seg -target_address_space [get_bd_addr_spaces axi_dma_0/$space] $segment
+                exclude_bd_addr_seg -quiet -target_address_space [get_bd_addr_spaces axi_dma_0/$space] $segment
             }
         }
     }

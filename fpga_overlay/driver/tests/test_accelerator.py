@@ -13,7 +13,7 @@ from edge_agent.deskew.reference import deskew_float64
 from edge_agent.features.integer import FeatureMarks
 from edge_agent.features.projection import Projector
 from fpga_overlay.cosim.device import HANDOFF, CosimDevice, GoldenLogic
-from fpga_overlay.cosim.dma_registers import LENGTH, RECEIVE
+from fpga_overlay.cosim.dma_registers import LENGTH, RECEIVE, STATUS
 from fpga_overlay.driver import Accelerator, AcceleratorError
 from fpga_overlay.driver.self_test import made_knots, made_scan
 from fpga_overlay.driver.tests.conftest import LIMITS, assert_same, parts
@@ -99,6 +99,27 @@ def test_the_receiving_side_is_started_first(opened) -> None:
     accelerator.run(made_scan(16), KNOTS)
     lengths = [offset for offset, _ in device.dma.log if offset % RECEIVE == LENGTH]
     assert lengths == [RECEIVE + LENGTH, LENGTH]
+
+
+def test_a_sending_side_that_is_done_after_the_answer_is_waited_for(opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    accelerator, device = opened(timeout_s=5.0)
+    finish, read = device.dma.send.finish, device.dma.read
+    late: list[int] = []
+    polls: list[int] = []
+
+    def read_late(offset: int) -> int:
+        if late and not device.dma.receive.busy:
+            polls.append(offset)
+            if polls.count(STATUS) > 5:
+                finish(late.pop())
+                polls.clear()
+        return read(offset)
+
+    monkeypatch.setattr(device.dma.send, "finish", late.append)
+    monkeypatch.setattr(device.dma, "read", read_late)
+    for _ in range(3):
+        assert len(accelerator.run(made_scan(16), KNOTS)) > 0
+        assert not late
 
 
 def test_interrupts_are_awaited_where_they_are_wired(opened) -> None:

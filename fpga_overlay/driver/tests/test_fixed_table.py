@@ -49,7 +49,11 @@ def test_before_the_first_and_after_the_last_knot_the_pose_is_held() -> None:
     out = deskewed(knots, p, np.array([0, 10_000_000, 90_000_000, 100_000_000], np.int32))
     np.testing.assert_array_equal(out[0], out[1])
     np.testing.assert_array_equal(out[2], out[3])
-    np.testing.assert_allclose(out[::2], deskew_float64(p[::2], np.array([0, 90_000_000]), knots), atol=DESKEW_FPGA_M)
+    np.testing.assert_allclose(
+        out[::2],
+        deskew_float64(p[::2].astype(np.float64), np.array([0, 90_000_000], np.int32), knots),
+        atol=DESKEW_FPGA_M,
+    )
     assert np.linalg.norm(out[1] - out[2]) > 1.0
 
 
@@ -78,7 +82,9 @@ def test_knots_that_end_before_the_scan_begins_hold_their_last_pose() -> None:
     knots = turning(np.array([-20_000_000, -10_000_000]), FAST_TURN_RADPS)
     p = np.tile(np.array([[30.0, 5.0, 1.0]], np.float32), (2, 1))
     out = deskewed(knots, p, np.array([0, 50_000_000], np.int32))
-    np.testing.assert_allclose(out, deskew_float64(p, np.array([0, 0]), knots), atol=DESKEW_FPGA_M)
+    np.testing.assert_allclose(
+        out, deskew_float64(p.astype(np.float64), np.zeros(2, np.int32), knots), atol=DESKEW_FPGA_M
+    )
 
 
 def test_a_motion_that_cannot_be_is_refused_by_the_logic() -> None:

@@ -34,7 +34,11 @@ def test_a_full_scan_has_one_point_in_every_cell() -> None:
 
 
 def test_a_random_image_has_gaps_doubles_and_points_that_are_none() -> None:
-    asked = cores.request(workload.random_image(64, 1024, 1), workload.turning(), 64, 1024)
+    scan = workload.random_image(64, 1024, 1)
+    assert np.isnan(scan.points_lidar).any(axis=1).sum() > 100
+    assert np.isinf(scan.points_lidar).any(axis=1).sum() > 100
+    assert np.count_nonzero(scan.ring == 64) > 100
+    asked = cores.request(scan, workload.turning(), 64, 1024)
     points, invalid, records, duplicates = trailer(golden(asked))
     assert min(invalid, duplicates) > 500
     assert 0.2 * 64 * 1024 < records < 0.9 * 64 * 1024

@@ -2,7 +2,8 @@
 # down how it was called. Anything else is an error, as in Vivado. What it cannot do is tell what Vivado would make of it.
 #
 # From the environment: STUB_ARGV, STUB_LOG, STUB_VERSION, STUB_SUMMARY (what report_timing_summary says), STUB_BOARDS,
-# STUB_WITHOUT (an IP that the catalogue lacks), STUB_FAILS (a command that fails), STUB_LOSES (an output not written).
+# STUB_WITHOUT (an IP that the catalogue lacks), STUB_REFUSES (a property that an IP lacks), STUB_FAILS (a command that
+# fails), STUB_LOSES (an output that is not written).
 
 set log [open $env(STUB_LOG) w]
 
@@ -70,6 +71,9 @@ vivado create_project {-in_memory 0 -part 1 -force 0}
 vivado current_project {} { return project }
 vivado current_design {} { return design }
 vivado set_property {-dict 1} {
+    if {[info exists env(STUB_REFUSES)] && [dict exists $option -dict] && [dict exists [dict get $option -dict] $env(STUB_REFUSES)]} {
+        error "no property $env(STUB_REFUSES)"
+    }
     if {[lindex $rest 0] eq "board_part"} { set ::board [lindex $rest 1] }
 }
 vivado get_property {} { return $::board }
@@ -109,7 +113,7 @@ vivado get_bd_addr_segs {-quiet 0} {
 vivado connect_bd_net {-net 1} { if {[llength $rest] != 2} { error "connect_bd_net: two pins" } }
 vivado connect_bd_intf_net {-intf_net 1} { if {[llength $rest] != 2} { error "connect_bd_intf_net: two pins" } }
 vivado assign_bd_address {-offset 1 -range 1 -target_address_space 1 -force 0 -with_name 1}
-vivado exclude_bd_addr_seg {-target_address_space 1}
+vivado exclude_bd_addr_seg {-quiet 0 -target_address_space 1}
 vivado validate_bd_design {-force 0}
 vivado save_bd_design {}
 vivado generate_target {-force 0} { write_file .gen/sources_1/bd/splitslam/hw_handoff/splitslam.hwh }

@@ -196,6 +196,13 @@ def test_the_board_preset_is_taken_when_it_is_installed_and_the_memory_is_descri
     assert any("CONFIG.PSU__DDRC__DEVICE_CAPACITY {4096 MBits}" in line for line in without.log)
 
 
+def test_a_vivado_that_cannot_make_the_processing_system_is_told_what_to_install(tmp_path: Path) -> None:
+    assert "Zynq UltraScale+ installed" in build(tmp_path, WITHOUT="zynq_ultra_ps_e").stderr
+    refused = build(tmp_path, REFUSES="CONFIG.PSU__DDRC__CL")
+    assert refused.returncode == 1
+    assert "install its ZCU104 board files" in refused.stderr
+
+
 def test_one_clock_and_its_resets_reach_every_block(tmp_path: Path) -> None:
     made = build(tmp_path).connections()
     clocked = {load for driver, load in made if driver == "zynq_ultra_ps_e_0/pl_clk0"}
@@ -203,7 +210,8 @@ def test_one_clock_and_its_resets_reach_every_block(tmp_path: Path) -> None:
     assert {load.split("/")[0] for load in clocked} == blocks | {"zynq_ultra_ps_e_0"}
     assert all("clk" in load for load in clocked)
     resets = {load.split("/")[0] for driver, load in made if driver.startswith("reset_0/")}
-    assert resets == blocks - {"reset_0"}
+    assert resets == blocks - {"reset_0", "splitslam_0"}
+    assert ("axi_dma_0/mm2s_prmry_reset_out_n", "splitslam_0/aresetn") in made  # the soft reset after a time-out too
 
 
 def test_data_goes_from_memory_through_the_cores_and_back_by_ports_of_its_own(tmp_path: Path) -> None:
