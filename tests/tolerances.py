@@ -6,8 +6,6 @@ from __future__ import annotations
 DESKEW_RANGE_M = 100.0
 # cpu against reference: float32 coordinates at 100 m have a step of 8 um; knot interpolation adds the rest.
 DESKEW_CPU_M = 1e-3
-# The deskew core against it, at 217 deg/s with a table of 250 segments (seen: 0.114 mm, half of it fixed-point steps).
-DESKEW_CORE_M = 0.5e-3
 # The programmable logic against the reference: points in steps of 0.06 mm, rounded twice, and a table of 255 chords.
 DESKEW_FPGA_M = 0.5e-3
 # A run on the co-simulated cores against one on the cpu.

@@ -10,11 +10,10 @@ from cocotb.handle import SimHandleBase
 
 from fpga_overlay.golden import packet
 from fpga_overlay.golden.packet import Beats, Header
-from fpga_overlay.tb import compare, packets
+from fpga_overlay.tb import compare, packets, tolerances
 from fpga_overlay.tb.packets import Packet
 from fpga_overlay.tb.scan import turning_scan
 from fpga_overlay.tb.stream import IDLE_PATTERNS, Stream
-from tests import tolerances
 
 SEED = int(os.environ.get("SEED", "7"))
 
@@ -256,7 +255,7 @@ async def takes_a_beat_a_clock(dut):
     assert clocks[1_000] - clocks[10] == 990, clocks
     latency = clocks[10] - len(short.beats()) - packet.TRAILER_BEATS
     dut._log.warning("latency: %d clocks", latency)
-    assert latency <= 45, latency
+    assert latency <= tolerances.DESKEW_CORE_LATENCY
 
 
 @cocotb.test()
@@ -270,5 +269,5 @@ async def a_whole_scan_is_right_to_half_a_millimetre_within_31_000_clocks(dut):
     np.testing.assert_array_equal(answer, scan.packet.answer())
     clocks, error_m = stream.last_out - stream.first_in + 1, scan.error_m(answer).max()
     dut._log.warning("28,800 points: %d clocks, %.3f mm at the most", clocks, error_m * 1e3)
-    assert clocks <= 31_000
+    assert clocks <= tolerances.DESKEW_CORE_CLOCKS
     assert error_m <= tolerances.DESKEW_CORE_M
