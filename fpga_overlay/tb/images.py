@@ -16,9 +16,9 @@ def points_of(ring: np.ndarray, column: np.ndarray, range_q: np.ndarray, seed: i
     """Valid points in the order given, with coordinates that mean nothing: the core only passes them on."""
     rng = np.random.default_rng(seed)
     n = len(ring)
-    arrays = (np.asarray(a, np.int64) for a in (ring, column, range_q))
+    ring, column, range_q = (np.asarray(a, np.int64) for a in (ring, column, range_q))
     points = rng.integers(-(1 << 23) + 1, 1 << 23, (n, 3))
-    return DeskewedPoints(points, *arrays, np.full(n, packet.POINT_VALID, np.int64))
+    return DeskewedPoints(points, ring, column, range_q, np.full(n, packet.POINT_VALID, np.int64))
 
 
 def spoilt(points: DeskewedPoints, share: float, seed: int = 0) -> DeskewedPoints:

@@ -75,7 +75,7 @@ async def numbers_that_are_none_stay_out_of_the_image(dut: SimHandleBase) -> Non
     sent = packets.random_packet(rng, CELLS, 3, SIZE)
     xyz = sent.points[:, :3].view(np.float32)
     bad = rng.random(xyz.shape) < 0.1
-    xyz[bad] = rng.choice(np.float32([np.nan, np.inf, -np.inf, 512, -1e9, 0]), bad.sum())
+    xyz[bad] = rng.choice(np.array([np.nan, np.inf, -np.inf, 512, -1e9, 0], np.float32), bad.sum())
     xyz[:9] = 0
     await check(dut, [exchange(sent), some(rng, 100, 1)])
 
