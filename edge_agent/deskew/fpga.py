@@ -17,9 +17,8 @@ from splitslam.features import Knots
 from splitslam.scan import Scan
 
 if TYPE_CHECKING:
-    from fpga_overlay.driver import Accelerator
-
     from edge_agent.image_node import CpuImageNode
+    from fpga_overlay.driver import Accelerator
 
 _log = logging.getLogger(__name__)
 

@@ -9,6 +9,51 @@ import numpy as np
 from numba import njit
 
 FASTMATH = {"contract", "nsz"}
+ARCTANGENTS = np.array([round(math.atan(2.0**-i) / (2.0 * math.pi) * 2.0**27) for i in range(22)])  # of 2^-27 turns
+NEAR_RAD = 2e-6  # the CORDIC errs by at most 0.9e-6
+
+
+@njit(cache=True, nogil=True)
+def to_steps(v):
+    """A coordinate in steps of 2^-14 m, halves rounded away from zero: what the programmable logic sees."""
+    whole = np.floor(abs(np.float64(v)) * 16384.0 + 0.5)
+    return whole if v >= 0.0 else -whole
+
+
+@njit(cache=True, nogil=True)
+def cordic_azimuth(x, y):
+    """Angle of (x, y), whole steps below 2^23, in 2^-27 turns: to the bit what the logic's CORDIC finds."""
+    largest = max(abs(x), abs(y))
+    if largest == 0:
+        return np.int64(0)
+    while largest < 1 << 22:
+        largest, x, y = largest << 1, x << 1, y << 1
+    angle = np.int64(1 << 26 if x < 0 else 0)
+    u, v = abs(x) << 2, (-y if x < 0 else y) << 2
+    for i in range(22):
+        if v < 0:
+            u, v, angle = u - (v >> i), v + (u >> i), angle - ARCTANGENTS[i]
+        else:
+            u, v, angle = u + (v >> i), v - (u >> i), angle + ARCTANGENTS[i]
+    return ((angle + (1 << 26)) & ((1 << 27) - 1)) - (1 << 26)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def column_of(x, y, columns):
+    """The column of a point, by LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2.
+
+    The angle in it is minus the azimuth. x, y in m. Near the edge of a column as the logic has it, which is to the bit.
+    """
+    a, b = to_steps(x), to_steps(y)
+    per_rad = columns / (2.0 * math.pi)
+    v = math.atan2(b, a) * per_rad
+    edge = abs(v) + 0.5
+    whole = np.int64(edge)
+    if abs(edge - np.floor(edge + 0.5)) < NEAR_RAD * per_rad and abs(a) < 8388608.0 and abs(b) < 8388608.0:
+        angle = cordic_azimuth(np.int64(a), np.int64(b)) * columns
+        whole, v = (abs(angle) + (1 << 26)) >> 27, np.float64(angle)
+    column = columns // 2 + (whole if v >= 0.0 else -whole)
+    return column - columns if column >= columns else column
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -20,18 +65,12 @@ def project(points, ring, cells, counts):
     rings, columns = cells.shape
     cells[:] = -1
     counts[:] = 0
-    per_rad = columns / (2.0 * math.pi)
-    half = columns // 2
     for i in range(len(points)):
         row = ring[i]
         if row >= rings:
             counts[1] += 1
             continue
-        # LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2; the angle in it is minus the azimuth
-        v = math.atan2(points[i, 1], points[i, 0]) * per_rad
-        column = np.int64(math.floor(v + 0.5)) + half if v >= 0.0 else half - np.int64(math.floor(0.5 - v))
-        if column >= columns:
-            column -= columns
+        column = column_of(points[i, 0], points[i, 1], columns)
         if cells[row, column] >= 0:
             counts[0] += 1
         else:
@@ -44,10 +83,8 @@ def range_units(x, y, z):
 
     In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
     """
-    a = math.floor(abs(np.float64(x)) * 16384.0 + 0.5)
-    b = math.floor(abs(np.float64(y)) * 16384.0 + 0.5)
-    c = math.floor(abs(np.float64(z)) * 16384.0 + 0.5)
-    units = np.int64(math.sqrt(math.floor((a * a + b * b + c * c) / 256.0)))
+    a, b, c = to_steps(x), to_steps(y), to_steps(z)
+    units = np.int64(math.sqrt(np.floor((a * a + b * b + c * c) / 256.0)))
     return min(max(units, 1), 262143)
 
 

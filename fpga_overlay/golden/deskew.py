@@ -77,8 +77,12 @@ def _moved(table: NDArray[np.int32], p: Ints, tick: Ints) -> Ints:
 
 def answer(header: Header, table: NDArray[np.int32], points: Beats) -> Beats:
     """The packet that leaves the deskew core."""
-    result = deskew(header, table, points)
-    valid = int(np.count_nonzero(result.flags & packet.POINT_VALID))
+    return answer_of(header, deskew(header, table, points))
+
+
+def answer_of(header: Header, result: DeskewedPoints) -> Beats:
+    """A result as the packet that leaves the deskew core."""
+    points, valid = len(result.flags), int(np.count_nonzero(result.flags & packet.POINT_VALID))
     status = packet.MAGIC << 16 | packet.VERSION << 8
-    trailer = np.array([[status, len(points), len(points) - valid, header.sequence], [0, 0, 0, 0]], np.uint32)
+    trailer = np.array([[status, points, points - valid, header.sequence], [0, 0, 0, 0]], np.uint32)
     return np.concatenate([header.beats(), result.beats(), trailer])

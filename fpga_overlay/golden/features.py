@@ -34,14 +34,18 @@ def records(header: Header, points: DeskewedPoints) -> tuple[np.ndarray, int]:
 
 def answer(header: Header, table: np.ndarray, points: Beats) -> Beats:
     """The packet that leaves the second core."""
-    result = deskew(header, table, points)
-    valid = int(np.count_nonzero(result.flags & packet.POINT_VALID))
+    return answer_to(header, deskew(header, table, points))
+
+
+def answer_to(header: Header, result: DeskewedPoints) -> Beats:
+    """What the second core makes of the first one's result."""
+    points, valid = len(result.flags), int(np.count_nonzero(result.flags & packet.POINT_VALID))
     found, duplicates = np.zeros(0, np.uint64), 0
     if not header.flags & packet.BYPASS_FEATURES:
         found, duplicates = records(header, result)
     padded = np.zeros(len(found) + len(found) % 2, np.uint64)
     padded[: len(found)] = found
     status = packet.MAGIC << 16 | packet.VERSION << 8
-    trailer = [[status, len(points), len(points) - valid, header.sequence], [len(found), duplicates, 0, 0]]
+    trailer = [[status, points, points - valid, header.sequence], [len(found), duplicates, 0, 0]]
     parts = [header.beats(), result.beats(), padded.view(np.uint32).reshape(-1, 4), np.array(trailer, np.uint32)]
     return np.concatenate(parts)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from edge_agent.deskew._kernels import deskew_points
+from edge_agent.deskew.fixed_table import fixed_table
 from splitslam import _motion_kernels as kernels
 from splitslam import se3
 from splitslam.motion_table import motion_table
@@ -46,16 +47,23 @@ def test_a_long_gap_between_knots_does_not_make_a_huge_table():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_deskew_points_is_the_affine_map_of_the_points_segment(seed: int):
-    table = motion_table(turning(imu_offsets(100), FAST_TURN_RADPS))
+def test_deskew_points_is_the_affine_map_of_the_points_segment_in_whole_steps(seed: int):
+    table = fixed_table(turning(imu_offsets(100), FAST_TURN_RADPS), np.empty((256, 28), np.int32))
     points, t = far_points(60, 80.0, seed)
     t[0], t[1] = 0, 100_000_000
+    points[2] = [511.9, -511.9, 511.9]  # moved beyond what 24 bits hold
     out = np.empty_like(points)
-    deskew_points(points, t, table.breaks_ns, table.base, table.slope, out)
+    words = table.words.astype(np.int64)
+    deskew_points(points, t, table.shift, table.words[:, 0], table.words[:, 4:].astype(np.float64), out)
     for p, ti, o in zip(points, t, out, strict=True):
-        s = max(k for k in range(len(table.base)) if table.breaks_ns[k] <= ti)
-        M = (table.base[s] + table.slope[s] * float(ti - table.breaks_ns[s])).reshape(3, 4).astype(np.float64)
-        np.testing.assert_allclose(o, M[:, :3] @ p + M[:, 3], atol=1e-4)
+        tick = (int(ti) + (1 << table.shift >> 1)) >> table.shift
+        s = max(k for k in range(len(words)) if words[k, 0] <= tick)
+        dt = tick - int(words[s, 0])
+        M = [int(b) + ((int(m) * dt + (1 << 19)) >> 20) for b, m in zip(words[s, 4:16], words[s, 16:], strict=True)]
+        q = [int(np.copysign(np.floor(abs(np.float64(v)) * 2**14 + 0.5), v)) for v in p] + [1 << 21]
+        for r in range(3):
+            total = sum(M[4 * r + c] * q[c] for c in range(4))
+            assert o[r] * 2**14 == max(min((total + (1 << 24)) >> 25, 2**23 - 1), 1 - 2**23)
 
 
 def test_resampled_knots_are_slerp_between_the_old_ones():

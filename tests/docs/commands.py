@@ -38,8 +38,8 @@ def _root(program: str) -> TyperGroup | TyperCommand:
 
 
 @cache
-def _make_targets() -> frozenset[str]:
-    return frozenset(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+def _make_targets(folder: str) -> frozenset[str]:
+    return frozenset(re.findall(r"^([a-z-]+):", (ROOT / folder / "Makefile").read_text(), re.MULTILINE))
 
 
 def problem_with(command: str) -> str | None:
@@ -47,8 +47,9 @@ def problem_with(command: str) -> str | None:
     words = shlex.split(command.replace("...", ""), comments=True)
     program, rest = words[0], words[1:]
     if program == "make":
+        folder, rest = (rest[1], rest[2:]) if rest[:1] == ["-C"] else (".", rest)
         targets = [word for word in rest if "=" not in word]
-        unknown = [target for target in targets if target not in _make_targets()]
+        unknown = [target for target in targets if target not in _make_targets(folder)]
         return f"{command}: no make target {unknown[0]}" if unknown else None
     node = _root(program)
     while isinstance(node, TyperGroup) and rest and not rest[0].startswith("-"):

@@ -11,6 +11,7 @@ from pathlib import Path
 HEADER = ("paper", "what it is", "code", "command", "test", "state")
 CODE_SPAN = re.compile(r"`([^`]+)`")
 ISSUE = re.compile(r"\bissue ([3-9])\b")
+OTHER_DEFINITIONS = {".sv": r"^module (\w+)", ".v": r"^module (\w+)", ".tcl": r"^proc (\w+)"}
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 
@@ -51,7 +52,9 @@ def read_rows(text: str) -> list[Row]:
 
 @cache
 def _defined(path: Path) -> frozenset[str]:
-    """Names a file defines: top-level functions and classes, and `Class.method`."""
+    """Names a file defines: top-level functions and classes, and `Class.method`; of hardware its modules and procs."""
+    if path.suffix in OTHER_DEFINITIONS:
+        return frozenset(re.findall(OTHER_DEFINITIONS[path.suffix], path.read_text(), re.MULTILINE))
     names: set[str] = set()
     for node in ast.parse(path.read_text()).body:
         if isinstance(node, DEFINITIONS):

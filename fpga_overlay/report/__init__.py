@@ -1,0 +1,1 @@
+"""What the overlay costs and how exact it is, measured afresh: `make fpga-report`."""

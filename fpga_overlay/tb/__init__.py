@@ -1,0 +1,1 @@
+"""Tests of the cores on Verilator, bit for bit against `fpga_overlay.golden`."""
