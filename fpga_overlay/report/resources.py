@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from fpga_overlay.golden.packet import MAX_COLUMNS, MAX_RINGS
 from fpga_overlay.syn.yosys import synthesise
-
-BOARD = {"RINGS": MAX_RINGS, "COLUMNS": MAX_COLUMNS}
 
 
 def resources() -> dict[str, dict[str, float]]:
     """dsp, bram36, uram, lut and ff of `deskew`, `features` and `total` (both, chained), in the board's size."""
     return {
         "deskew": asdict(synthesise("deskew_core")),
-        "features": asdict(synthesise("feature_core", BOARD)),
-        "total": asdict(synthesise("splitslam_top", BOARD)),
+        "features": asdict(synthesise("feature_core")),
+        "total": asdict(synthesise("splitslam_top")),
     }
