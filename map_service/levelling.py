@@ -44,7 +44,15 @@ class Leveller:
         self.settings = settings
         self.active = False
         self.reach_m = 0.0
+        self._stood: tuple[Array, Array] | None = None  # gravity, and the rotation of the first keyframe
         self._seen: deque[tuple[int, Array, float]] = deque(maxlen=settings.window)
+
+    def stood(self, gravity_lidar: Array, R_map_lidar: Array) -> None:
+        """The robot stood at its first keyframe: what its accelerometer shows at rest is what the map calls level.
+
+        An IMU that is askew has been so there too; what it says otherwise on the move is not the map's tilt.
+        """
+        self._stood = (gravity_lidar / np.linalg.norm(gravity_lidar), R_map_lidar)
 
     def look(self, keyframe: int, gravity_lidar: Array, sigma_rad: float) -> None:
         """A keyframe with its direction of gravity (3,), frame `lidar`, and the doubt of it."""
@@ -65,26 +73,39 @@ class Leveller:
         down = DOWN + np.array([x[0], x[1], 0.0])
         down /= np.linalg.norm(down)
         free = size_rad * self.reach_m < s.step_m  # of a small map it costs nothing
-        tolerable_rad = max(s.near_rad if free else s.tolerable_rad, s.sigmas * sigma_rad)
+        tolerable_rad = s.tolerable_rad if self._stood is None else s.stood_tolerable_rad
+        tolerable_rad = max(s.near_rad if free else tolerable_rad, s.sigmas * sigma_rad)
         self.active = size_rad > (tolerable_rad * s.until_share if self.active else tolerable_rad)
         return Tilt(newest, poses[newest][:3, :3].T @ down, size_rad, sigma_rad, self.reach_m) if self.active else None
 
     def _solve(self, poses: list[Array]) -> tuple[Array, Array]:
         """Tilt of the map (2,), the x and y of what should be down in it, with its covariance (2, 2).
 
-        Least squares over the keyframes: R_i g_i = down + tilt + R_i mounting, older ones fading.
+        Least squares over the keyframes: R_i g_i = down + tilt + R_i mounting, older ones fading. Where the keyframes
+        contradict each other by more than their sigmas, as with an IMU whose axes are askew, nothing is that sure: the
+        covariance grows by the residuals' mean square.
         """
         s = self.settings
-        normal = np.diag(np.concatenate([np.zeros(2), np.full(3, 1.0 / s.mounting_rad**2)]))
-        right = np.zeros(5)
-        for age, (i, gravity, sigma) in enumerate(reversed(self._seen)):
-            R = poses[i][:3, :3]
-            J = np.hstack([np.eye(2), R[:2]])
-            weight = np.exp(-age / s.fade) / (s.alike * sigma**2)
-            normal += weight * J.T @ J
-            right += weight * J.T @ (R @ gravity)[:2]
-        covariance = np.linalg.inv(normal)
-        return np.asarray((covariance @ right)[:2]), np.asarray(covariance[:2, :2], np.float64)
+        prior = np.diag(np.concatenate([np.zeros(2), np.full(3, 1.0 / s.mounting_rad**2)]))
+        R = np.stack([poses[i][:3, :3] for i, _, _ in self._seen])
+        seen = np.einsum("nij,nj->ni", R, np.stack([gravity for _, gravity, _ in self._seen]))[:, :2]
+        share = np.exp(-np.arange(len(R))[::-1] / s.fade)
+        certainty = 1.0 / np.array([sigma for _, _, sigma in self._seen]) ** 2
+        J = np.concatenate([np.broadcast_to(np.eye(2), (len(R), 2, 2)), R[:, :2]], axis=2)
+        weight = share * certainty / s.alike
+        normal = prior + np.einsum("n,nki,nkj->ij", weight, J, J)
+        right = np.einsum("n,nki,nk->i", weight, J, seen)
+        if self._stood is not None:
+            gravity, R_first = self._stood
+            J_first = np.hstack([np.eye(2), R_first[:2]])
+            certainty_first = 1.0 / (s.stood_prior_rad**2 + (s.drift_rad_per_m * self.reach_m) ** 2)
+            normal += certainty_first * J_first.T @ J_first
+            right += certainty_first * J_first.T @ (R_first @ gravity)[:2]
+        x = np.linalg.solve(normal, right)
+        residuals = np.sum((seen - np.einsum("nki,i->nk", J, x)) ** 2, axis=1)
+        mean_square = float(np.sum(share * certainty * residuals) / (2.0 * np.sum(share)))
+        covariance = np.linalg.inv(normal) * max(mean_square, 1.0)
+        return x[:2], np.asarray(covariance[:2, :2], np.float64)
 
     def factor_sigma_rad(self, tilt: Tilt, map_sigma_rad: float) -> float:
         """Standard deviation of a factor that turns the map by a small step, `map_sigma_rad` being its own doubt.
@@ -103,10 +124,14 @@ class Leveller:
         return {
             "active": self.active,
             "reach_m": self.reach_m,
+            "stood": None if self._stood is None else [part.tolist() for part in self._stood],
             "seen": [[i, g.tolist(), sigma] for i, g, sigma in self._seen],
         }
 
     def load(self, data: dict) -> None:
         """The reverse of dump."""
         self.active, self.reach_m = bool(data["active"]), float(data["reach_m"])
+        if data.get("stood") is not None:
+            gravity, rotation = data["stood"]
+            self._stood = (np.array(gravity), np.array(rotation))
         self._seen.extend((int(i), np.array(g), float(sigma)) for i, g, sigma in data["seen"])

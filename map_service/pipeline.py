@@ -94,7 +94,9 @@ class MapPipeline:
         if track.registration is None:
             # a robot that stood is level but for its IMU's mounting, which is not GNSS's to correct
             sigma, s = frame.motion.gravity_sigma_rad, self.settings.level
-            self.graph.add_first(T_map_lidar, sigma if sigma > s.stood_rad else min(sigma, s.stood_prior_rad))
+            if stood := sigma <= s.stood_rad:
+                self.leveller.stood(frame.motion.gravity_lidar, T_map_lidar[:3, :3])
+            self.graph.add_first(T_map_lidar, min(sigma, s.stood_prior_rad) if stood else sigma)
         else:
             motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
             covariance = self._odometry_covariance(track, motion)

@@ -150,6 +150,8 @@ class LevelSettings(Model):
     tolerable_rad: float = 0.035
     stood_rad: float = Field(default=0.05, description="gravity at the first frame is surer than this: the robot stood")
     stood_prior_rad: float = 0.002
+    stood_tolerable_rad: float = Field(default=0.1, description="nothing on the move is as sure as gravity at rest")
+    drift_rad_per_m: float = Field(default=5e-5, description="how the map's tilt drifts with the odometry")
     near_rad: float = Field(default=0.005, description="the same while levelling moves nothing by more than a step")
     sigmas: float = 2.5
     until_share: float = Field(default=0.3, description="of what is tolerable: where levelling ends")
