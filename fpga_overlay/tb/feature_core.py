@@ -30,10 +30,11 @@ def packet_of(header: Header, points: DeskewedPoints) -> Exchange:
 @cocotb.test()
 @cocotb.parametrize(idle=IDLE_PATTERNS, stall=IDLE_PATTERNS)
 async def scans_of_every_size_come_back_as_the_model_says(dut: SimHandleBase, idle: str, stall: str) -> None:
-    sizes = [(RINGS, COLUMNS), (RINGS - 1, COLUMNS - 6), (2, COLUMNS // 2 + 1), (1, 13), (1, 1)]
+    sizes = [(RINGS, COLUMNS), (RINGS - 1, COLUMNS - 6), (2, COLUMNS // 2 + 1), (1, 13), (1, 1), (RINGS, COLUMNS)]
     orders = itertools.cycle(["columns", "random", "rings"])
+    first = 30 * IDLE_PATTERNS.index(idle) + 10 * IDLE_PATTERNS.index(stall)
     packets = []
-    for seed, ((rings, columns), order) in enumerate(zip(sizes, orders, strict=False)):
+    for seed, ((rings, columns), order) in enumerate(zip(sizes, orders, strict=False), first):
         header = Header(rings, columns, sequence=seed + 7)
         points = images.scan(header, seed, filled=(1.0, 0.8, 0.5)[seed % 3], repeated=0.2, order=order)
         packets.append(packet_of(header, images.spoilt(points, 0.05, seed)))
@@ -44,10 +45,10 @@ async def scans_of_every_size_come_back_as_the_model_says(dut: SimHandleBase, id
 async def the_first_point_of_a_cell_wins_however_soon_the_next_one_follows(dut: SimHandleBase) -> None:
     packets = []
     for distance in range(1, 9):
-        ring, column = np.zeros(80, int), np.arange(80) % COLUMNS
-        column[distance::distance] = column[0]
-        column[1::2] = np.where(np.arange(40) % 3 == 0, column[1::2] ^ 1, column[1::2])  # the other cell of a word
-        packets.append(packet_of(FULL, images.points_of(ring, column, 1000 + np.arange(80))))
+        column = np.arange(COLUMNS)
+        column[distance :: 2 * distance] = column[: COLUMNS - distance : 2 * distance]  # as so many points before
+        packets.append(packet_of(FULL, images.points_of(0 * column, column, 1000 + column)))
+        packets.append(packet_of(FULL, images.points_of(0 * column, column ^ 1, 1000 + column)))
     same = images.points_of(np.full(50, RINGS - 1), np.full(50, COLUMNS - 1), 5000 + np.arange(50))
     await check(dut, [*packets, packet_of(FULL, same)])
 
@@ -104,8 +105,13 @@ async def thresholds_are_compared_exactly(dut: SimHandleBase) -> None:
         ]
         range_q = np.clip(base + rng.choice(steps, len(ring)), 1, (1 << 18) - 1)
         packets.append(packet_of(header, images.points_of(ring, column, range_q)))
-        kept = rng.random(len(ring)) < 0.15  # neighbours some ten columns apart
+        gap = COLUMNS // 2 - 5  # two neighbours that are 9, 10, 11, 12 columns apart, by ring
+        kept = (column < gap) | (column > gap + 7 + ring % 4)
+        range_q[column > gap] += 2 * occlusion
+        range_q = np.clip(range_q, 1, (1 << 18) - 1)
         packets.append(packet_of(header, images.points_of(ring[kept], column[kept], range_q[kept])))
+    smooth = replace(FULL, occlusion=(1 << 18) - 1, corner=24, flat=12)  # nothing is masked: differences decide
+    packets.append(packet_of(smooth, images.points_of(ring, column, 2000 + rng.integers(-3, 4, len(ring)))))
     await check(dut, packets)
 
 
@@ -168,20 +174,21 @@ async def packets_that_are_too_short_pass_and_do_no_harm(dut: SimHandleBase) -> 
 
 
 @cocotb.test()
-async def valid_points_outside_the_headers_geometry_are_left_out(dut: SimHandleBase) -> None:
+async def points_without_the_valid_flag_or_outside_the_geometry_are_left_out(dut: SimHandleBase) -> None:
     header = Header(RINGS // 2, COLUMNS - 3)
     inside = images.scan(header, 6)
-    n = len(inside.ring)
     strays = [(header.rings, 1), (RINGS - 1, 0), (RINGS + 1, 0), (127, 0), (0, header.columns), (0, 4095), (1, COLUMNS)]
+    invalid = [(0, column) for column in range(header.columns)]
     ring, column = (
-        np.concatenate([a, b]) for a, b in zip((inside.ring, inside.column), np.transpose(strays), strict=True)
+        np.concatenate([a, b])
+        for a, b in zip((inside.ring, inside.column), np.transpose(strays + invalid), strict=True)
     )
-    range_q = np.concatenate([inside.range_q, np.full(len(strays), 4096)])
-    sent = deskew.answer_of(header, images.points_of(ring, column, range_q))
-    flags = np.arange(len(ring)) < n
-    expected = features.answer_to(
-        header, replace(images.points_of(ring, column, range_q), flags=flags.astype(np.int64))
-    )
+    range_q = np.concatenate([inside.range_q, np.full(len(strays) + len(invalid), 4096)])
+    order = np.random.default_rng(6).permutation(len(ring))
+    valid, kept = ((order < n).astype(np.int64) for n in (len(ring) - len(invalid), len(inside.ring)))
+    made = images.points_of(ring[order], column[order], range_q[order])
+    sent = deskew.answer_of(header, replace(made, flags=valid))
+    expected = features.answer_to(header, replace(made, flags=kept))
     expected[: len(sent) - 2] = sent[:-2]  # the points pass as they came
     expected[-2] = sent[-2]
     await check(dut, [(sent, expected), packet_of(FULL, images.scan(FULL, 7, filled=0.3))])

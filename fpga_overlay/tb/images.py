@@ -39,7 +39,7 @@ def spoilt(points: DeskewedPoints, share: float, seed: int = 0) -> DeskewedPoint
 
 def wall_ranges(rng: np.random.Generator, n: int) -> np.ndarray:
     """(n,) ranges of a ring: pieces of wall with steps between them, most of them flat, some rough, some saturated."""
-    borders = np.sort(rng.integers(0, n, max(1, n // 12)))
+    borders = np.sort(rng.integers(0, n, max(1, n // 24)))
     piece = np.searchsorted(borders, np.arange(n), side="right")
     level = rng.integers(300, 60_000, piece[-1] + 1)
     slope = rng.integers(-40, 41, piece[-1] + 1)

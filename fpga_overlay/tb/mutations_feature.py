@@ -18,7 +18,7 @@ _EXACT = "thresholds_are_compared_exactly"
 _SHORT = "rings_of_few_points_have_no_window"
 _SECTORS = "any_number_of_sectors_up_to_seven_divides_a_ring"
 _TRACES = "bypassed_empty_and_bad_packets_leave_no_trace"
-_STRAYS = "valid_points_outside_the_headers_geometry_are_left_out"
+_STRAYS = "points_without_the_valid_flag_or_outside_the_geometry_are_left_out"
 _RESET = "a_reset_at_any_time_leaves_an_empty_core"
 
 MUTATIONS = [
@@ -64,7 +64,7 @@ MUTATIONS = [
     _of_core("odd-record-lost", "record_packer.sv", "half && (record_valid || flush)", "half && record_valid", _SCANS),
     _of_core("odd-beat-not-zero", "record_packer.sv", "record_valid ? record : 64'd0", "record", _SCANS),
     _of_core("index-goes-on", "feature_core.sv", "if (taken == 2'd0) index <=", "if (!rst_n) index <=", _SCANS),
-    _of_core("invalid-points-stored", "feature_core.sv", "stores = held[68] && ", "stores = ", _SCANS),
+    _of_core("invalid-points-stored", "feature_core.sv", "stores = held[68] && ", "stores = ", _STRAYS),
     _of_core("columns-unchecked", "feature_core.sv", "held_column < columns && ", "", _STRAYS),
     _of_core("rings-unchecked", "feature_core.sv", "held_ring < rings && ", "", _STRAYS),
     _of_core("status-ignored", "feature_core.sv", "quiet = held[7:0] != 8'd0", "quiet = 1'b0", _TRACES),
