@@ -50,7 +50,8 @@ def main() -> None:
         package = importlib.import_module(name)
         for module in pkgutil.walk_packages(getattr(package, "__path__", []), f"{name}."):
             importlib.import_module(module.name)
-    ours = [m for n, m in sys.modules.items() if n.partition(".")[0] in ("splitslam", "edge_agent", "map_service")]
+    tops = ("splitslam", "edge_agent", "map_service", "fpga_overlay")
+    ours = [module for name, module in sys.modules.items() if name.partition(".")[0] in tops]
     files = sorted({file for module in ours if (file := getattr(module, "__file__", None))})
     print(json.dumps({"modules": sorted(sys.modules), "files": files}))
 

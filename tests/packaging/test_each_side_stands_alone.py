@@ -32,7 +32,7 @@ class Side:
 
 EDGE = Side(
     "edge",
-    ("edge_agent",),
+    ("edge_agent", "fpga_overlay.golden", "fpga_overlay.driver"),
     "edge",
     ("map_service", "sqlalchemy", "small_gicp", "scipy", "grpc_health", "grpc_reflection", "matplotlib"),
 )

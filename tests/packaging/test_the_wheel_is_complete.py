@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.conftest import ROOT
 
-PACKAGES = ("edge_agent", "map_service", "splitslam")
+PACKAGES = ("edge_agent", "map_service", "splitslam", "fpga_overlay/golden", "fpga_overlay/driver")  # the board's
 
 
 def _files(root: Path) -> set[str]:
@@ -21,9 +21,9 @@ def _files(root: Path) -> set[str]:
 def test_every_file_of_the_packages_is_in_the_wheel(tmp_path: Path) -> None:
     source = tmp_path / "source"
     for package in PACKAGES:
-        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source)
+        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__", "tests"))
+    for name in ("pyproject.toml", "README.md", "LICENSE", "fpga_overlay/__init__.py"):
+        shutil.copy(ROOT / name, source / name)
     command = [sys.executable, "-m", "pip", "wheel", "-qq", "--no-deps", "--no-build-isolation", "-w", str(tmp_path)]
     built = subprocess.run([*command, str(source)], capture_output=True, text=True, timeout=200)
     assert built.returncode == 0, built.stderr[-2000:]
