@@ -65,7 +65,8 @@ test: setup ## every test, the overlay's too; the recordings in ../shared/data o
 fpga-test: fpga-setup ## the overlay's own tests: cores on Verilator, driver, device behind PYNQ
 	@.venv-fpga/bin/python -m pytest fpga_overlay -n $(WORKERS) --dist worksteal
 
-fpga-report: fpga-setup ## the overlay's figures, measured afresh, as JSON: clocks, error, resources, prediction for the board
+fpga-report: ## the overlay's figures, measured afresh, one JSON object: clocks, error, resources, prediction for the board
+	@$(MAKE) --no-print-directory fpga-setup >&2
 	@.venv-fpga/bin/python -m fpga_overlay.report
 
 check: setup $(WIRE_TOOLS) ## lint, types, spelling, generated code, wire contract
