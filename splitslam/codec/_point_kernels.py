@@ -1,14 +1,8 @@
-"""Kernel that models the points of a frame: what is expected of each from its ring, and from the ring below.
+"""Kernels that model the points of a frame: what is expected of each from its ring, and from the ring below.
 
-One pass codes, for every ring, how many points it has, and for every point its class, the columns since the last one,
-the correction of its time, its three coordinates in steps and its intensity. Encoding and decoding run the same code
-on the same integers. Expectations:
-
-along (range): the last point, the straight continuation of the last two, and the ring below at this column times the
-    ratio that held at the last point, weighted by how well each has done lately.
-across (azimuth within the column): beams stand on a lattice, `drift` columns denser or wider than the image's columns;
-    its phase is narrowed to what the coded points allow. Without a lattice the middle of the column.
-up (elevation): a line in the range for each ring, which is what a beam that does not start in the origin looks like.
+For every ring pass how many points it has, then for every point its class, the columns since the last one, the
+correction of its time, its three coordinates in steps and its intensity. Encoding and decoding run the same code on
+the same integers.
 """
 
 from __future__ import annotations
@@ -22,168 +16,135 @@ FASTMATH = {"contract", "arcp", "nsz"}
 
 TIME_UNIT_NS = 40_000
 TURN = 1 << 20  # a column, in units of the lattice's phase
-# points: rows of the array that is coded
-CLASS, COLUMN, LATE, ALONG, ACROSS, UP, INTENSITY = range(7)
-# scales: what all points of a frame share
-RINGS, COLUMNS, RATE, LATTICE, DRIFT, WIDTH, WITH_INTENSITY = range(7)
 LARGEST = 1 << 24  # steps a coordinate may have: 335 km at 2 cm
 _LATEST = 1 << 17  # corrections of time: 5 s
 
+# rows of `points`
+CLASS, COLUMN, LATE, ALONG, ACROSS, UP, INTENSITY = range(7)
+# `scales`, what all points of a frame share: columns; ns a column / 256; whether there is a lattice, its drift in 2^-20
+# columns a column; width of a column, 2^-20 rad; whether intensity is coded
+COLUMNS, RATE, LATTICE, DRIFT, WIDTH, SHADES = range(6)
+# `now`, what is known while the points pass
+_N, _GAP, _GAP_BEFORE, _LATE, _LATE_BEFORE, _LATE_AT, _U, _U_BEFORE, _REST, _RATIO = range(10)
+_ERROR, _USUAL, _BELOW, _BELOW_END, _UNDER, _NEAR, _NEAR_SHADE = 10, 13, 16, 17, 18, 19, 20
+_PHASE, _PHASE_START, _COLUMN_START, _ACROSS_SIZE, _UP_SIZE = range(21, 26)
+NOW = 26
+
 # blocks of contexts and kinds of numbers; those before belong to what all points share
-_COUNT, _BIT, _LATE, _GAP, _ALONG, _ACROSS, _UP, _SHADE, BLOCKS = 40, 44, 45, 50, 130, 330, 390, 430, 470
-_K_COUNT, _K_BIT, _K_LATE, _K_GAP, _K_ALONG, _K_ACROSS, _K_UP, _K_SHADE, _K_LATER = range(4, 13)
+_B_COUNT, _B_BIT, _B_LATE, _B_GAP, _B_ALONG, _B_ACROSS, _B_UP, _B_SHADE, BLOCKS = 40, 44, 45, 50, 130, 330, 390, 430, 470
+_K_COUNT, _K_BIT, _K_SEAM, _K_LATE, _K_GAP, _K_ALONG, _K_ACROSS, _K_UP, _K_SHADE = range(4, 13)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
 def code_counts(state, data, model, counts):
     """counts (rings,) int64: points of each ring, as differences to the ring before."""
     before, change = 0, 0
     for r in range(len(counts)):
-        beside = _COUNT + 1 + min(level(abs(change)) >> 2, 2)
-        change = code_number(state, data, model, block(_COUNT, beside, beside, _K_COUNT), counts[r] - before, True)
+        beside = _B_COUNT + 1 + min(level(abs(change)) >> 2, 2)
+        change = code_number(state, data, model, block(_B_COUNT, beside, beside, _K_COUNT), counts[r] - before, True)
         before += change
         counts[r] = before
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def code_points(state, data, model, counts, scales, lines, points):
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def code_points(state, data, model, counts, scales, lines, points, now):
     """points (7, N) int32, sorted by ring and column: coded, or filled while decoding. False: not a valid frame.
 
-    counts (rings,): points of each ring, N in all. scales (7,) int64: see the names above; RATE in ns a column / 256,
-    DRIFT in 2^-20 columns a column, WIDTH of a column in 2^-20 rad. lines (rings, 2) int64: offset (steps / 4) and
-    slope (2^-14) of `up` against `along`.
+    counts (rings,): points of each ring, N in all. scales (6,) int64. lines (rings, 2) int64: offset (steps / 4) and
+    slope (2^-14) of UP against ALONG. now (NOW,) int64: scratch.
     """
-    lattice = np.zeros(3, np.int64)  # phase, its value and column at the start of a ring
-    errors, usual = np.zeros(3, np.int64), np.full(3, 64, np.int64)
-    below, below_end, i = 0, 0, 0
-    late_at, late_before, up_size, across_size = -1, np.int64(0), np.int64(0), np.int64(0)
+    now[:] = 0
+    now[_LATE_AT] = -(1 << 20)
+    now[_USUAL : _USUAL + 3] = 64
+    i = 0
     for r in range(len(counts)):
-        first = i
-        errors[:] = usual
-        under = below
-        c, u, u_before, gap, size, shade, kind = 0, 0, 0, 0, 64, 8, 0
-        ratio = 1 << 12
+        _enter_ring(now)
+        first, column = i, np.int64(0)
         for n in range(counts[r]):
-            a, b, d, row = block(_BIT, _BIT, _BIT, _K_BIT)
-            kind = code_bit(state, data, model, (a + kind, b + 2, d + 2, row), np.int64(points[CLASS, i]))
-            points[CLASS, i] = kind
-
-            # columns since the last point: near ones thin out to a fixed distance in metres
-            spacing = points[COLUMN, under + 1] - points[COLUMN, under] if under + 1 < below_end else 0
-            spread = level((u * scales[WIDTH]) >> 14) if u > 0 else 0
-            a, b = _GAP + min(level(gap), 23), _GAP + 24 + min(spread, 29)
-            d = _GAP + 54 + min(level(spacing), 23)
-            last_gap = gap
-            gap = code_number(state, data, model, block(a, b, d, _K_GAP), points[COLUMN, i] - c, False)
-            seam = 1 if c <= late_at + 2 and c + gap >= late_at - 2 else 0
-            c += gap
-            if c >= scales[COLUMNS]:
+            now[_N] = n
+            _code_class(state, data, model, points, i, now)
+            column = _code_column(state, data, model, scales, points, i, now)
+            if column >= scales[COLUMNS] or not _code_late(state, data, model, points, i, now):
                 return False
-            points[COLUMN, i] = c
-
-            # time: where a scan begins and ends the same jump occurs in every ring
-            a, b, d, row = block(_BIT, _BIT, _BIT, _K_LATE)
-            a, b, d = a + 8 + seam, b + 10 + seam, d + 12 + seam
-            late = np.int64(points[LATE, i])
-            if code_bit(state, data, model, (a, b, d, row), 1 if late != 0 else 0):
-                where = block(_LATE, _LATE + 1, _LATE + 2, _K_LATER)
-                late = late_before + code_number(state, data, model, where, late - late_before, True)
-                if abs(late) > _LATEST:
-                    return False
-                late_at, late_before = c, late
-            else:
-                late = np.int64(0)
-            points[LATE, i] = late
-
-            # range
-            near, near_shade, has_below = u, 8, below_end > below
-            if has_below:
-                while under + 1 < below_end and points[COLUMN, under + 1] <= c:
-                    under += 1
-                near, near_shade = _ring_below(points, under, below_end, c)
-            p0 = u if n > 0 else near
-            p1 = p0
-            if n >= 2 and last_gap > 0:
-                p1 = u + min(max(((u - u_before) * gap) // last_gap, -(abs(u) >> 3)), abs(u) >> 3)
-            p2 = (near * ratio) >> 12 if has_below else p0
-            w0 = (1 << 30) // ((errors[0] + 8) * (errors[0] + 8))
-            w1 = (1 << 30) // ((errors[1] + 8) * (errors[1] + 8))
-            w2 = (1 << 30) // ((errors[2] + 8) * (errors[2] + 8)) if has_below else 0
-            expected = (p0 * w0 + p1 * w1 + p2 * w2) // (w0 + w1 + w2)
-            least = min(errors[0], min(errors[1], errors[2]))
-            apart = min(level(abs(p2 - expected)), 19)
-            a = _ALONG + min(level(least >> 3), 19) * 6 + min(level(gap) >> 1, 5)
-            b = _ALONG + 120 + (20 + apart if p2 > expected else 20 - apart)
-            d = _ALONG + 160 + min(level(size), 30)
-            rest = code_number(state, data, model, block(a, b, d, _K_ALONG), points[ALONG, i] - expected, True)
-            u_before, u = u, expected + rest
-            if abs(u) > LARGEST:
+            _look_below(points, column, now)
+            _code_along(state, data, model, points, i, now)
+            _code_across(state, data, model, scales, points, i, now)
+            _code_up(state, data, model, lines[r], points, i, now)
+            if max(abs(points[ALONG, i]), max(abs(points[ACROSS, i]), abs(points[UP, i]))) > LARGEST:
                 return False
-            points[ALONG, i] = u
-            size = abs(rest)
-            if n > 0 or has_below:
-                errors[0] = min(errors[0] + (((abs(u - p0) << 4) - errors[0]) >> 2), 1 << 12)
-                errors[1] = min(errors[1] + (((abs(u - p1) << 4) - errors[1]) >> 2), 1 << 12)
-                errors[2] = min(errors[2] + (((abs(u - p2) << 4) - errors[2]) >> 2), 1 << 12)
-            if has_below and near > 0:
-                seen = min(max((u << 12) // near, 1 << 10), 1 << 14)
-                ratio += (seen - ratio) >> (1 if abs(seen - ratio) < 600 else 2)
-
-            # azimuth within the column
-            width = u * scales[WIDTH]
-            expected = 0
-            if scales[LATTICE]:
-                turned = gap
-                if late != 0 and scales[RATE] != 0:
-                    turned += (late * (TIME_UNIT_NS * 256)) // scales[RATE]
-                _advance(lattice, c, turned, scales[DRIFT], n == 0)
-                expected = ((lattice[0] >> 4) * width + (1 << 35)) >> 36
-            a = _ACROSS + min(level(max(width, 0) >> 18), 29)
-            b = _ACROSS + 30 + min(level(across_size), 19)
-            rest = code_number(state, data, model, block(a, b, _ACROSS + 50, _K_ACROSS), points[ACROSS, i] - expected, True)
-            v = expected + rest
-            if abs(v) > LARGEST:
+            if scales[SHADES] and not _code_shade(state, data, model, points, i, now):
                 return False
-            points[ACROSS, i] = v
-            across_size = (across_size + 2 * abs(rest) + 1) >> 1
-            if scales[LATTICE]:
-                if rest != 0 and width > 0:  # as far as the coded point allows, and no further
-                    edge = min(max(2 * v - (1 if rest > 0 else -1), -(1 << 22)), 1 << 22)
-                    lattice[0] = min(max((edge << 39) // width, -(TURN >> 1)), TURN >> 1)
-                if n == 0:
-                    lattice[1], lattice[2] = lattice[0], c
-
-            # elevation
-            expected = ((lines[r, 0] << 12) + lines[r, 1] * u + (1 << 13)) >> 14
-            a, b = _UP + min(level(up_size), 14), _UP + 15 + min(level(abs(u)) >> 1, 19)
-            rest = code_number(state, data, model, block(a, b, _UP + 35, _K_UP), points[UP, i] - expected, True)
-            up_size = (up_size + 2 * abs(rest) + 1) >> 1
-            if abs(expected + rest) > LARGEST:
-                return False
-            points[UP, i] = expected + rest
-
-            if scales[WITH_INTENSITY]:
-                differs = min(abs(near_shade - shade), 7) + (8 if near_shade < shade else 0)
-                a, b, d = _SHADE + shade, _SHADE + 16 + differs, _SHADE + 32
-                rest = code_number(state, data, model, block(a, b, d, _K_SHADE), points[INTENSITY, i] - shade, True)
-                shade += rest
-                if shade < 0 or shade > 15:
-                    return False
-                points[INTENSITY, i] = shade
             i += 1
         if counts[r] > 0:
-            usual[:] = errors
-            below, below_end = first, i
+            for k in range(3):
+                now[_USUAL + k] = now[_ERROR + k]
+            now[_BELOW], now[_BELOW_END] = first, i
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def _ring_below(points, under, end, c):
-    """(range, intensity) of the ring below at column c, which lies between its points `under` and the next."""
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _enter_ring(now):
+    for k in range(3):
+        now[_ERROR + k] = now[_USUAL + k]
+    now[_UNDER] = now[_BELOW]
+    now[_GAP], now[_U], now[_U_BEFORE], now[_REST], now[_RATIO] = 0, 0, 0, 64, 1 << 12
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_class(state, data, model, points, i, now):
+    before = np.int64(points[CLASS, i - 1]) if now[_N] > 0 else 0
+    twice = before + 2 * np.int64(points[CLASS, i - 2]) if now[_N] > 1 else before
+    a, b, c, row = block(_B_BIT, _B_BIT, _B_BIT, _K_BIT)
+    points[CLASS, i] = code_bit(state, data, model, (a + before, b + 2 + twice, c + 6, row), np.int64(points[CLASS, i]))
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_column(state, data, model, scales, points, i, now):
+    """As columns since the last point: thinning leaves a certain distance in metres, so the range says how many."""
+    before = np.int64(points[COLUMN, i - 1]) if now[_N] > 0 else np.int64(0)
+    under = now[_UNDER]
+    spacing = points[COLUMN, under + 1] - points[COLUMN, under] if under + 1 < now[_BELOW_END] else 0
+    a = _B_GAP + min(level(now[_GAP]), 23)
+    b = _B_GAP + 24 + min(level((max(now[_U], 0) * scales[WIDTH]) >> 14), 29)
+    c = _B_GAP + 54 + min(level(spacing), 23)
+    gap = code_number(state, data, model, block(a, b, c, _K_GAP), points[COLUMN, i] - before, False)
+    now[_GAP_BEFORE], now[_GAP] = now[_GAP], gap
+    column = before + gap
+    points[COLUMN, i] = min(column, 65535)
+    return column
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_late(state, data, model, points, i, now):
+    """The correction of the time. Where a scan begins and ends the same jump occurs in every ring."""
+    column = points[COLUMN, i]
+    seam = 1 if column - now[_GAP] <= now[_LATE_AT] + 2 and column >= now[_LATE_AT] - 2 else 0
+    a, b, c, row = block(_B_BIT, _B_BIT, _B_BIT, _K_SEAM)
+    late = np.int64(points[LATE, i])
+    if code_bit(state, data, model, (a + 8 + seam, b + 10 + seam, c + 12 + seam, row), 1 if late != 0 else 0):
+        where = block(_B_LATE, _B_LATE + 1, _B_LATE + 2, _K_LATE)
+        late = now[_LATE_BEFORE] + code_number(state, data, model, where, late - now[_LATE_BEFORE], True)
+        now[_LATE_AT], now[_LATE_BEFORE] = column, late
+    else:
+        late = np.int64(0)
+    points[LATE, i] = now[_LATE] = late
+    return abs(late) <= _LATEST
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _look_below(points, column, now):
+    """Range and intensity of the ring below at a column: of the nearest point, or between two on one surface."""
+    end, under = now[_BELOW_END], now[_UNDER]
+    if end == now[_BELOW]:
+        now[_NEAR], now[_NEAR_SHADE] = now[_U], 8
+        return
+    while under + 1 < end and points[COLUMN, under + 1] <= column:
+        under += 1
+    now[_UNDER] = under
     u, shade = np.int64(points[ALONG, under]), np.int64(points[INTENSITY, under])
-    left = c - points[COLUMN, under]
+    left = column - points[COLUMN, under]
     if left > 0 and under + 1 < end:
-        right = points[COLUMN, under + 1] - c
+        right = points[COLUMN, under + 1] - column
         next_u = np.int64(points[ALONG, under + 1])
         if right < left:
             shade = np.int64(points[INTENSITY, under + 1])
@@ -191,11 +152,108 @@ def _ring_below(points, under, end, c):
             u = (u * right + next_u * left) // (left + right)
         elif right < left:
             u = next_u
-    return u, shade
+    now[_NEAR], now[_NEAR_SHADE] = u, shade
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def _advance(lattice, c, turned, drift, starts):
-    """The lattice's phase `turned` columns on, or at the start of a ring, from where the ring before started."""
-    phase = lattice[1] + drift * (c - lattice[2]) if starts else lattice[0] + drift * turned
-    lattice[0] = ((phase + (TURN >> 1)) & (TURN - 1)) - (TURN >> 1)
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_along(state, data, model, points, i, now):
+    """The range. Three guesses, weighted by how well each has done lately: the last point; the straight continuation
+    of the last two; the ring below here, times the ratio that held at the last point."""
+    n, u, near, gap = now[_N], now[_U], now[_NEAR], now[_GAP]
+    has_below = now[_BELOW_END] > now[_BELOW]
+    p0 = u if n > 0 else near
+    p1 = p0
+    if n >= 2 and now[_GAP_BEFORE] > 0:
+        p1 = u + min(max(((u - now[_U_BEFORE]) * gap) // now[_GAP_BEFORE], -(abs(u) >> 3)), abs(u) >> 3)
+    p2 = (near * now[_RATIO]) >> 12 if has_below else p0
+    w0, w1 = _weight(now[_ERROR]), _weight(now[_ERROR + 1])
+    w2 = _weight(now[_ERROR + 2]) if has_below else 0
+    expected = (p0 * w0 + p1 * w1 + p2 * w2) // (w0 + w1 + w2)
+
+    least = min(now[_ERROR], min(now[_ERROR + 1], now[_ERROR + 2]))
+    apart = min(level(abs(p2 - expected)), 19)
+    a = _B_ALONG + min(level(least >> 3), 19) * 6 + min(level(gap) >> 1, 5)
+    b = _B_ALONG + 120 + (20 + apart if p2 > expected else 20 - apart)
+    c = _B_ALONG + 160 + min(level(now[_REST]), 30)
+    rest = code_number(state, data, model, block(a, b, c, _K_ALONG), points[ALONG, i] - expected, True)
+    now[_U_BEFORE], now[_U], now[_REST] = u, expected + rest, abs(rest)
+    u = now[_U]
+    points[ALONG, i] = min(max(u, -LARGEST - 1), LARGEST + 1)
+    if n > 0 or has_below:
+        _judge(now, 0, u - p0)
+        _judge(now, 1, u - p1)
+        _judge(now, 2, u - p2)
+    if has_below and near > 0:
+        change = min(max((u << 12) // near, 1 << 10), 1 << 14) - now[_RATIO]
+        now[_RATIO] += change >> (1 if abs(change) < 600 else 2)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _weight(error):
+    return (1 << 30) // ((error + 8) * (error + 8))
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _judge(now, guess, error):
+    """The running error of a guess, in sixteenths of a step."""
+    e = now[_ERROR + guess]
+    now[_ERROR + guess] = min(e + (((abs(error) << 4) - e) >> 2), 1 << 12)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_across(state, data, model, scales, points, i, now):
+    """The azimuth within the column. Beams stand on a lattice that drifts through the columns; its phase is narrowed
+    to what the coded points allow. Without a lattice the middle of the column is expected."""
+    width, expected = now[_U] * scales[WIDTH], np.int64(0)
+    if scales[LATTICE]:
+        _advance(points[COLUMN, i], scales, now)
+        expected = ((now[_PHASE] >> 4) * width + (1 << 35)) >> 36
+    a = _B_ACROSS + min(level(max(width, 0) >> 18), 29)
+    b = _B_ACROSS + 30 + min(level(now[_ACROSS_SIZE]), 19)
+    where = block(a, b, _B_ACROSS + 50, _K_ACROSS)
+    rest = code_number(state, data, model, where, points[ACROSS, i] - expected, True)
+    v = expected + rest
+    points[ACROSS, i] = min(max(v, -LARGEST - 1), LARGEST + 1)
+    now[_ACROSS_SIZE] = (now[_ACROSS_SIZE] + 2 * abs(rest) + 1) >> 1
+    if rest != 0 and width > 0:
+        edge = min(max(2 * v - (1 if rest > 0 else -1), -(1 << 22)), 1 << 22)
+        now[_PHASE] = min(max((edge << 39) // width, -(TURN >> 1)), TURN >> 1)
+    if now[_N] == 0:
+        now[_PHASE_START], now[_COLUMN_START] = now[_PHASE], points[COLUMN, i]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _advance(column, scales, now):
+    """The phase since the last point; at the start of a ring, since the start of the ring before."""
+    if now[_N] == 0:
+        phase = now[_PHASE_START] + scales[DRIFT] * (column - now[_COLUMN_START])
+    else:
+        turned = now[_GAP]
+        if now[_LATE] != 0 and scales[RATE] != 0:
+            turned += (now[_LATE] * (TIME_UNIT_NS * 256)) // scales[RATE]
+        phase = now[_PHASE] + scales[DRIFT] * turned
+    now[_PHASE] = ((phase + (TURN >> 1)) & (TURN - 1)) - (TURN >> 1)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_up(state, data, model, line, points, i, now):
+    """The elevation: a line in the range, which is what a beam that does not start in the origin looks like."""
+    u = now[_U]
+    expected = ((line[0] << 12) + line[1] * u + (1 << 13)) >> 14
+    a = _B_UP + min(level(now[_UP_SIZE]), 14)
+    b = _B_UP + 15 + min(level(abs(u)) >> 1, 19)
+    rest = code_number(state, data, model, block(a, b, _B_UP + 35, _K_UP), points[UP, i] - expected, True)
+    now[_UP_SIZE] = (now[_UP_SIZE] + 2 * abs(rest) + 1) >> 1
+    points[UP, i] = min(max(expected + rest, -LARGEST - 1), LARGEST + 1)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+def _code_shade(state, data, model, points, i, now):
+    """The intensity, 0 to 15; False when it is not."""
+    shade, near = np.int64(points[INTENSITY, i - 1]) if now[_N] > 0 else np.int64(8), now[_NEAR_SHADE]
+    a = _B_SHADE + shade
+    b = _B_SHADE + 16 + min(abs(near - shade), 7) + (8 if near < shade else 0)
+    where = block(a, b, _B_SHADE + 32, _K_SHADE)
+    shade += code_number(state, data, model, where, points[INTENSITY, i] - shade, True)
+    points[INTENSITY, i] = min(max(shade, 0), 15)
+    return 0 <= shade <= 15

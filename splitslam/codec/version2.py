@@ -41,7 +41,7 @@ def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], column
     lines = np.empty((rings, 2), np.int64)
     _beam_kernels.fit_lines(beams.counts, beams.points, lines)
 
-    coder = Coder(np.empty(8192 + 64 * n, np.uint8), decoding=False)
+    coder = Coder(np.empty(8192 + 48 * n, np.uint8), decoding=False)
     shared = [rings, columns, step_um, abs(beams.rate), int(beams.rate < 0)]
     shared += [int(drift is not None), (drift or 0) + _HALF_TURN, int(frame.dense)]
     coder.fields(shared, _SHARED)
@@ -95,7 +95,8 @@ def _code_lines(coder: Coder, lines: NDArray[np.int64]) -> None:
 
 
 def _code_points(coder: Coder, beams: Beams, lines: NDArray[np.int64], shared: list[int]) -> bool:
-    rings, columns, _, _, _, lattice, drift, with_intensity = shared
+    _, columns, _, _, _, lattice, drift, with_intensity = shared
     width = round(2.0 * np.pi / columns * (1 << 20))
-    scales = np.array([rings, columns, beams.rate, lattice, drift - _HALF_TURN, width, with_intensity], np.int64)
-    return bool(_point_kernels.code_points(*coder.arrays, beams.counts, scales, lines, beams.points))
+    scales = np.array([columns, beams.rate, lattice, drift - _HALF_TURN, width, with_intensity], np.int64)
+    now = np.empty(_point_kernels.NOW, np.int64)
+    return bool(_point_kernels.code_points(*coder.arrays, beams.counts, scales, lines, beams.points, now))
