@@ -52,7 +52,7 @@ def halve(values, residuals, decoding):
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def continue_rate(times, values, residuals, decoding):
-    """values (K, 6) int64 of knots at times (K,) int64, increasing <-> residuals (6 K,): each continues the last rate."""
+    """values (K, 6) int64 of knots at times (K,) int64 <-> residuals (6 K,): each knot continues the last rate."""
     n = 0
     for k in range(len(values)):
         for e in range(6):

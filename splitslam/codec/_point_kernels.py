@@ -31,7 +31,17 @@ _PHASE, _PHASE_START, _COLUMN_START, _ACROSS_SIZE, _UP_SIZE = range(21, 26)
 NOW = 26
 
 # blocks of contexts and kinds of numbers; those before belong to what all points share
-_B_COUNT, _B_BIT, _B_LATE, _B_GAP, _B_ALONG, _B_ACROSS, _B_UP, _B_SHADE, BLOCKS = 40, 44, 45, 50, 130, 330, 390, 430, 470
+_B_COUNT, _B_BIT, _B_LATE, _B_GAP, _B_ALONG, _B_ACROSS, _B_UP, _B_SHADE, BLOCKS = (
+    40,
+    44,
+    45,
+    50,
+    130,
+    330,
+    390,
+    430,
+    470,
+)
 _K_COUNT, _K_BIT, _K_SEAM, _K_LATE, _K_GAP, _K_ALONG, _K_ACROSS, _K_UP, _K_SHADE = range(4, 13)
 
 

@@ -43,27 +43,33 @@ def quantise_knots(knots: Knots) -> Knots:
 
 
 def code_knots(coder: Coder, knots: Knots | None) -> Knots:
-    """Quantised knots, or those that are decoded. ValueError for knots that do not fit or times that do not increase."""
-    given = knots is not None
-    count, even = (len(knots.offsets_ns), _halves(knots.offsets_ns)) if given else (0, False)
-    if given and not 2 <= count <= MAX_KNOTS:
+    """Quantised knots, or those that are decoded; ValueError for knots that do not fit or times that do not increase."""
+    if knots is None:
+        times, values, count, even = np.empty(0, np.int64), np.empty((0, 6), np.int64), 0, False
+    else:
+        times, values = knots.offsets_ns, _values(knots.rotation, knots.translation_m)
+        count, even = len(times), _halves(times)
+    if knots is not None and not 2 <= count <= MAX_KNOTS:
         raise ValueError(f"{count} knots, expected 2 to {MAX_KNOTS}")
     count, even = coder.fields([count, int(even)], (6, 1))
     if not 2 <= count <= MAX_KNOTS or (even and (count - 1) & (count - 2)):
         raise ValueError(f"{count} knots")
-    times = knots.offsets_ns if given else np.zeros(count, np.int64)
-    steps = np.diff(np.diff(times[[0, -1]] if even else times, prepend=0) // _TIME_UNIT_NS, prepend=0)
-    moments = np.cumsum(np.cumsum(coder.numbers(steps))) * _TIME_UNIT_NS
+
+    used = times[[0, -1]] if knots is not None and even else times
+    steps = np.diff(np.diff(used, prepend=0) // _TIME_UNIT_NS, prepend=0)
+    steps = coder.numbers(steps if knots is not None else np.empty(2 if even else count, np.int64))
+    moments = np.cumsum(np.cumsum(steps)) * _TIME_UNIT_NS
     times = _even(int(moments[0]), int(moments[-1]), count) if even else moments
     if np.any(np.diff(times) <= 0) or np.any(np.abs(times) > 1 << 40):
         raise ValueError("knot times do not increase")
-    values = _values(knots.rotation, knots.translation_m) if given else np.empty((count, 6), np.int64)
+
     residuals = np.empty(6 * count, np.int64)
-    if given:
+    if knots is None:
+        values = np.empty((count, 6), np.int64)
+        _predict(times, values, coder.numbers(residuals, KNOTS), True)
+    else:
         _predict(times, values, residuals, False)
-    coder.numbers(residuals, KNOTS)
-    if not given:
-        _predict(times, values, residuals, True)
+        coder.numbers(residuals, KNOTS)
     if np.any(np.abs(values) >= _LIMIT):
         raise ValueError("knots move too far")
     return _knots(times, values)

@@ -19,7 +19,7 @@ def find_drift(
     """Drift in 2^-20 columns a column, or None when azimuths within their columns follow no lattice.
 
     fractions (N,): azimuth within the column, rad. A firing every 0.199 degrees in columns of 0.2 degrees moves by
-    -0.005 columns a column; whole columns do not show. It is the frequency at which the steps between neighbours add up.
+    -0.005 columns a column; whole columns do not show. It is the frequency at which steps between neighbours add up.
     """
     sums = np.zeros(_LONGEST, np.complex128)
     pairs = kernels.phase_steps(counts, points, fractions, 2.0 * np.pi / columns, sums)

@@ -1,4 +1,4 @@
-"""A frame's motion through the coder, each part to what it means; what the knots say already is expected of the rest."""
+"""A frame's motion through the coder: each part to what it means, expected to be what the knots say already."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _FIELDS = (1, 2, 1, 15, 15)  # velocity known; axis and sign of the largest part
 def code_motion(coder: Coder, motion: Motion | None) -> Motion:
     """The motion as it travels, or the one that is decoded; ValueError when it is not finite or not possible.
 
-    T_prev_lidar is expected to be what the last knot says: the scan before was as long, and the rate the same. sigmas of
-    the covariance's diagonal and of gravity are in logarithmic steps.
+    T_prev_lidar is expected to be what the last knot says: the scan before was as long, and the rate the same. Sigmas
+    (of the covariance's diagonal and of gravity) are in logarithmic steps.
     """
     knots = code_knots(coder, None if motion is None else motion.knots)
     fields, steps = ([0] * len(_FIELDS), np.zeros(16, np.int64)) if motion is None else _measure(motion)
