@@ -15,11 +15,9 @@ domain (Mahoney, Adaptive weighing of context models, 2005).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from splitslam.codec._jit import borrowing
 from splitslam.codec.logistic import RATE, SQUASH, STRETCH
-
-FASTMATH = {"contract", "arcp", "nsz"}
 
 LOW, RANGE, CACHE, PENDING, POSITION, DECODING = range(6)  # while decoding LOW holds the code
 BLOCK = 96  # contexts that one number takes
@@ -36,7 +34,7 @@ _HEAVIEST = 1 << 19
 _LONGEST = 30  # bits of a number
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def start(state, data, model, decoding):
     """Begin to encode into data, or to decode them."""
     state[:] = 0
@@ -50,7 +48,7 @@ def start(state, data, model, decoding):
         state[POSITION] = -1  # the first byte out is always 0 and is left out
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def finish(state, data):
     """The number of bytes encoded, all written out; zeros at the end are left to the decoder, up to five."""
     # the value in [low, low + range) with the most zeros at its end
@@ -67,7 +65,7 @@ def finish(state, data):
     return n
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _next_byte(state, data):
     """The next byte, 0 after the end. `position` runs on, so that one can see how far beyond it went."""
     position = state[POSITION]
@@ -75,7 +73,7 @@ def _next_byte(state, data):
     return np.int64(data[position]) if position < len(data) else np.int64(0)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _shift(state, data):
     """Moves the top byte of low out; bytes of 255 wait until it is known whether a carry runs through them."""
     low = state[LOW]
@@ -92,14 +90,14 @@ def _shift(state, data):
     state[LOW] = (low & 0xFFFFFF) << 8
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _put(state, data, byte):
     if 0 <= state[POSITION] < len(data):
         data[state[POSITION]] = byte & 255
     state[POSITION] += 1
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _narrow(state, data, bound, bit):
     """Codes a bit whose ones take the first `bound` of the range."""
     if state[DECODING]:
@@ -124,7 +122,7 @@ def _narrow(state, data, bound, bit):
     return bit
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_bits(state, data, value, count):
     """`count` bits of value >= 0, most significant first, each as likely as not."""
     result = np.int64(0)
@@ -133,7 +131,7 @@ def code_bits(state, data, value, count):
     return result
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_bit(state, data, model, where, bit):
     """A bit that three contexts predict; all three and their weights learn from it.
 
@@ -158,7 +156,7 @@ def code_bit(state, data, model, where, bit):
     return bit
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _learn(context, bit):
     """A context after a bit: the more it has met, the less it moves, down to 1 / 61.5."""
     chance, seen = context >> 8, context & 255
@@ -166,7 +164,7 @@ def _learn(context, bit):
     return (chance << 8) | min(seen + 1, _LIMIT)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def bit_length(x):
     """Bits of x >= 0."""
     n = 0
@@ -176,7 +174,7 @@ def bit_length(x):
     return n
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def level(x):
     """Size of x >= 0 as a context: 0, 1, then two levels an octave."""
     if x <= 1:
@@ -185,7 +183,7 @@ def level(x):
     return 2 * e + ((x >> (e - 1)) & 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_number(state, data, model, where, value, signed):
     """An integer below 2^30 in size: zero, sign, exponent, two bits of mantissa in context, the rest as they are.
 
@@ -212,19 +210,19 @@ def code_number(state, data, model, where, value, signed):
     return -result if negative else result
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def block(a, b, c, kind):
     """Where numbers of a kind live: the start of three blocks of contexts and of the kind's rows of weights."""
     return WEIGHTS + a * BLOCK, WEIGHTS + b * BLOCK, WEIGHTS + c * BLOCK, kind * 3 * ROWS
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _beside(where, context, row):
     a, b, c, w = where
     return a + context, b + context, c + context, w + 3 * row
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_numbers(state, data, model, context, kind, values):
     """values (N,) int64, signed, each in the same contexts, sharper after small ones; filled while decoding."""
     before = 0
@@ -234,7 +232,7 @@ def code_numbers(state, data, model, context, kind, values):
         before = abs(values[i])
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_fields(state, data, values, widths):
     """values (N,) int64 >= 0 of widths (N,) bits, as they are."""
     for i in range(len(values)):

@@ -8,11 +8,9 @@ the same integers.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from splitslam.codec._coder_kernels import block, code_bit, code_number, level
-
-FASTMATH = {"contract", "arcp", "nsz"}
+from splitslam.codec._jit import borrowing
 
 TIME_UNIT_NS = 40_000
 TURN = 1 << 20  # a column, in units of the lattice's phase
@@ -45,7 +43,7 @@ _B_COUNT, _B_BIT, _B_LATE, _B_GAP, _B_ALONG, _B_ACROSS, _B_UP, _B_SHADE, BLOCKS 
 _K_COUNT, _K_BIT, _K_SEAM, _K_LATE, _K_GAP, _K_ALONG, _K_ACROSS, _K_UP, _K_SHADE = range(4, 13)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_counts(state, data, model, counts):
     """counts (rings,) int64: points of each ring, as differences to the ring before."""
     before, change = 0, 0
@@ -56,7 +54,7 @@ def code_counts(state, data, model, counts):
         counts[r] = before
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def code_points(state, data, model, counts, scales, lines, points, now):
     """points (7, N) int32, sorted by ring and column: coded, or filled while decoding. False: not a valid frame.
 
@@ -92,7 +90,7 @@ def code_points(state, data, model, counts, scales, lines, points, now):
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _enter_ring(now):
     for k in range(3):
         now[_ERROR + k] = now[_USUAL + k]
@@ -100,7 +98,7 @@ def _enter_ring(now):
     now[_GAP], now[_U], now[_U_BEFORE], now[_REST], now[_RATIO] = 0, 0, 0, 64, 1 << 12
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_class(state, data, model, points, i, now):
     before = np.int64(points[CLASS, i - 1]) if now[_N] > 0 else 0
     twice = before + 2 * np.int64(points[CLASS, i - 2]) if now[_N] > 1 else before
@@ -108,7 +106,7 @@ def _code_class(state, data, model, points, i, now):
     points[CLASS, i] = code_bit(state, data, model, (a + before, b + 2 + twice, c + 6, row), np.int64(points[CLASS, i]))
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_column(state, data, model, scales, points, i, now):
     """As columns since the last point: thinning leaves a certain distance in metres, so the range says how many."""
     before = np.int64(points[COLUMN, i - 1]) if now[_N] > 0 else np.int64(0)
@@ -124,7 +122,7 @@ def _code_column(state, data, model, scales, points, i, now):
     return column
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_late(state, data, model, points, i, now):
     """The correction of the time. Where a scan begins and ends the same jump occurs in every ring."""
     column = points[COLUMN, i]
@@ -141,7 +139,7 @@ def _code_late(state, data, model, points, i, now):
     return abs(late) <= _LATEST
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _look_below(points, column, now):
     """Range and intensity of the ring below at a column: of the nearest point, or between two on one surface."""
     end, under = now[_BELOW_END], now[_UNDER]
@@ -165,7 +163,7 @@ def _look_below(points, column, now):
     now[_NEAR], now[_NEAR_SHADE] = u, shade
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_along(state, data, model, points, i, now):
     """The range. Three guesses, weighted by how well each has done lately: the last point; the straight continuation
     of the last two; the ring below here, times the ratio that held at the last point."""
@@ -198,19 +196,19 @@ def _code_along(state, data, model, points, i, now):
         now[_RATIO] += change >> (1 if abs(change) < 600 else 2)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _weight(error):
     return (1 << 30) // ((error + 8) * (error + 8))
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _judge(now, guess, error):
     """The running error of a guess, in sixteenths of a step."""
     e = now[_ERROR + guess]
     now[_ERROR + guess] = min(e + (((abs(error) << 4) - e) >> 2), 1 << 12)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_across(state, data, model, scales, points, i, now):
     """The azimuth within the column. Beams stand on a lattice that drifts through the columns; its phase is narrowed
     to what the coded points allow. Without a lattice the middle of the column is expected."""
@@ -232,7 +230,7 @@ def _code_across(state, data, model, scales, points, i, now):
         now[_PHASE_START], now[_COLUMN_START] = now[_PHASE], points[COLUMN, i]
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _advance(column, scales, now):
     """The phase since the last point; at the start of a ring, since the start of the ring before."""
     if now[_N] == 0:
@@ -245,7 +243,7 @@ def _advance(column, scales, now):
     now[_PHASE] = ((phase + (TURN >> 1)) & (TURN - 1)) - (TURN >> 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_up(state, data, model, line, points, i, now):
     """The elevation: a line in the range, which is what a beam that does not start in the origin looks like."""
     u = now[_U]
@@ -257,7 +255,7 @@ def _code_up(state, data, model, line, points, i, now):
     points[UP, i] = min(max(expected + rest, -LARGEST - 1), LARGEST + 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, _nrt=False)
+@borrowing
 def _code_shade(state, data, model, points, i, now):
     """The intensity, 0 to 15; False when it is not."""
     shade, near = np.int64(points[INTENSITY, i - 1]) if now[_N] > 0 else np.int64(8), now[_NEAR_SHADE]

@@ -43,7 +43,7 @@ def quantise_knots(knots: Knots) -> Knots:
 
 
 def code_knots(coder: Coder, knots: Knots | None) -> Knots:
-    """Quantised knots, or those that are decoded; ValueError for knots that do not fit or times that do not increase."""
+    """Quantised knots, or those that are decoded; ValueError for ones that do not fit or do not increase in time."""
     if knots is None:
         times, values, count, even = np.empty(0, np.int64), np.empty((0, 6), np.int64), 0, False
     else:
@@ -90,7 +90,8 @@ def _values(rotation: NDArray[np.float64], translation_m: NDArray[np.float64]) -
 
 
 def _knots(times: NDArray[np.int64], values: NDArray[np.int64]) -> Knots:
-    rotation, translation_m = values[:, :3] * ROTATION_UNIT_RAD, values[:, 3:] * TRANSLATION_UNIT_M
+    parts = values.astype(np.float64)
+    rotation, translation_m = parts[:, :3] * ROTATION_UNIT_RAD, parts[:, 3:] * TRANSLATION_UNIT_M
     return Knots(times, np.ascontiguousarray(rotation), np.ascontiguousarray(translation_m))
 
 

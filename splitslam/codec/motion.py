@@ -83,12 +83,13 @@ def _motion(knots: Knots, fields: list[int], steps: Integers) -> Motion:
         raise ValueError("gravity is no direction")
     largest = float(np.sqrt(1.0 - a * a - b * b))
     sigmas = _LEAST_SIGMA * np.exp2(np.clip(steps[_SIGMAS], 0, 320) / _SIGMA_STEPS)
+    parts = steps.astype(np.float64)
     return Motion(
         T_prev_lidar=se3.compose(
-            se3.so3_exp(steps[_ROTATION] * ROTATION_STEP_RAD), steps[_TRANSLATION] * TRANSLATION_STEP_M
+            se3.so3_exp(parts[_ROTATION] * ROTATION_STEP_RAD), parts[_TRANSLATION] * TRANSLATION_STEP_M
         ),
         covariance=np.diag(sigmas[:6] ** 2),
-        velocity_lidar_mps=steps[_VELOCITY] * VELOCITY_STEP_MPS,
+        velocity_lidar_mps=parts[_VELOCITY] * VELOCITY_STEP_MPS,
         knots=knots,
         gravity_lidar=np.insert(np.array([a, b]), axis, -largest if negative else largest),
         gravity_sigma_rad=float(sigmas[6]),
