@@ -46,7 +46,7 @@ def measure(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], colum
     points[CLASS] = order < len(corners)
     points[COLUMN] = column
     points[INTENSITY] = (intensity.astype(np.uint16) + 8) // _SHADES
-    rate, fractions = _column_rate(counts, points, t_offset_ns), np.empty(n)
+    rate, fractions = column_rate(counts, points, t_offset_ns), np.empty(n)
     if not kernels.follow_times(counts, rate, t_offset_ns, points, False):
         raise ValueError("a time beyond 2 s")
     directions = directions_of(columns, beam_elevations_rad, step_um)
@@ -82,7 +82,7 @@ def place(
     return chosen(is_corner), chosen(~is_corner)
 
 
-def _column_rate(counts: NDArray[np.int64], points: NDArray[np.int32], t_offset_ns: NDArray[np.int32]) -> int:
+def column_rate(counts: NDArray[np.int64], points: NDArray[np.int32], t_offset_ns: NDArray[np.int32]) -> int:
     rates = np.empty(points.shape[1])
     count = kernels.neighbour_rates(counts, points, t_offset_ns, rates)
     if count == 0:

@@ -9,7 +9,7 @@ from splitslam.codec import _beam_kernels as kernels
 from splitslam.codec._point_kernels import TURN
 
 _LONGEST = 1024  # columns between two points that are compared
-_BINS = 16384
+_BINS = 4096
 _COHERENT = 0.45
 
 
