@@ -140,9 +140,9 @@ def code_bit(state, data, model, where, bit):
     a, b, c, row = where
     ma, mb, mc = np.int64(model[a]), np.int64(model[b]), np.int64(model[c])
     wa, wb, wc = np.int64(model[row]), np.int64(model[row + 1]), np.int64(model[row + 2])
-    sa, sb, sc = STRETCH[ma >> 12], STRETCH[mb >> 12], STRETCH[mc >> 12]
+    sa, sb, sc = np.int64(STRETCH[ma >> 12]), np.int64(STRETCH[mb >> 12]), np.int64(STRETCH[mc >> 12])
     dot = (wa * sa + wb * sb + wc * sc) >> 16
-    p = SQUASH[min(max(dot, -2047), 2047) + 2048]
+    p = np.int64(SQUASH[min(max(dot, -2047), 2047) + 2048])
     p = min(max(p, _LEAST), 65536 - _LEAST)
     bit = _narrow(state, data, (state[RANGE] >> 16) * p, bit)
 
@@ -160,7 +160,7 @@ def code_bit(state, data, model, where, bit):
 def _learn(context, bit):
     """A context after a bit: the more it has met, the less it moves, down to 1 / 61.5."""
     chance, seen = context >> 8, context & 255
-    chance += ((65535 * bit - chance) * RATE[seen]) >> 16
+    chance += ((65535 * bit - chance) * np.int64(RATE[seen])) >> 16
     return (chance << 8) | min(seen + 1, _LIMIT)
 
 
