@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from benchmarks.drives import Files
 from edge_agent.imu import ImuSettings, make_imu_node
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings as EdgeSettings
 from edge_agent.sources import Sequencer, open_recording
+from edge_agent.sources.sequencer import Item
 from edge_agent.types import OdometryReply
 from map_service.pipeline import MapPipeline
 from map_service.settings import PipelineSettings as MapSettings
@@ -42,6 +43,7 @@ class FrameSource:
         for item in self._items():
             if isinstance(item, ImuSamples):
                 imu.add_imu(item)
+            if not isinstance(item, ScanPacket):
                 continue
             while held and held[0].seq <= edge.seq + 1 - _LAG:
                 imu.on_odometry(held.pop(0))
@@ -55,7 +57,7 @@ class FrameSource:
             held.append(OdometryReply(*reply))
             yield frame
 
-    def _items(self) -> Iterable[ImuSamples | ScanPacket]:
+    def _items(self) -> Iterator[Item]:
         sequencer = Sequencer(self._robot)
         for _, event in self._recording.events():
             yield from sequencer.push(event)

@@ -153,4 +153,4 @@ def lio_sam_column(p: Array, columns: int) -> int:
     horizon_deg = np.degrees(np.arctan2(p[0], p[1]))
     v = (horizon_deg - 90.0) / (360.0 / columns)
     column = -int(np.copysign(np.floor(abs(v) + 0.5), v)) + columns // 2
-    return column - columns if column >= columns else column
+    return column % columns

@@ -53,6 +53,8 @@ def column_of(x, y, columns):
         angle = cordic_azimuth(np.int64(a), np.int64(b)) * columns
         whole, v = (abs(angle) + (1 << 26)) >> 27, np.float64(angle)
     column = columns // 2 + (whole if v >= 0.0 else -whole)
+    if column < 0:  # of an odd number of columns
+        column += columns
     return column - columns if column >= columns else column
 
 

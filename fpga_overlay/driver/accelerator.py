@@ -127,6 +127,8 @@ def check_fits(rings: int, columns: int, limits: Limits) -> None:
     ):
         if not 1 <= value <= most:
             raise InputError(f"deskew fpga: {what}: {value}, expected 1 to {most}, which the logic holds")
+    if columns % 2:
+        raise InputError(f"deskew fpga: columns: {columns}, expected an even number, which the logic needs")
 
 
 def _longest() -> int:

@@ -27,7 +27,7 @@ def columns_with_gaps(rng: np.random.Generator, ring_start: np.ndarray) -> np.nd
     return column
 
 
-@pytest.mark.parametrize(("rings", "columns"), [(4, 36), (16, 1800), (5, 2048)])
+@pytest.mark.parametrize(("rings", "columns"), [(4, 36), (16, 1800), (5, 2048), (5, 2083)])
 def test_projection_is_lio_sams_and_the_first_return_wins(rings: int, columns: int):
     rng = np.random.default_rng(rings)
     n = 600

@@ -159,6 +159,7 @@ def test_a_scan_that_no_packet_holds_is_refused_and_the_next_one_works(opened) -
     [
         (129, 1800, LIMITS, "rings: 129, expected 1 to 128"),
         (16, 4096, LIMITS, "columns: 4096, expected 1 to 2048"),
+        (16, 1801, LIMITS, "columns: 1801, expected an even number"),
         (16, 1800, replace(LIMITS, sectors=8), "sectors: 8, expected 1 to 7"),
         (16, 1800, replace(LIMITS, corner=2**22), "corner threshold in 1/1024 m: 4194304, expected 1 to 4194303"),
     ],
