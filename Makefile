@@ -14,7 +14,7 @@ FPGA := .venv-fpga/.set-up
 FPGA_TOOLS := g++ make perl
 WORKERS ?= 2
 
-.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report fuzz check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -68,6 +68,9 @@ fpga-test: fpga-setup ## the overlay's own tests: cores on Verilator, driver, de
 fpga-report: ## the overlay's figures, measured afresh, one JSON object: clocks, error, resources, prediction for the board
 	@$(MAKE) --no-print-directory fpga-setup >&2
 	@.venv-fpga/bin/python -m fpga_overlay.report
+
+fuzz: setup ## a million mutated payloads into the codec's decoder (COUNT=1000000)
+	@$(BIN)/python -m tests.codec.mutations --count $(or $(COUNT),1000000)
 
 check: setup $(WIRE_TOOLS) ## lint, types, spelling, generated code, wire contract
 	$(BIN)/ruff check

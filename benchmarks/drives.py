@@ -72,18 +72,24 @@ def data_folder() -> Path:
     return Path(os.environ.get("SPLITSLAM_DATA") or ROOT.parent / "shared" / "data")
 
 
+def recorded_files(drive: Drive) -> Files:
+    """Those of a recording; InputError when one is missing."""
+    assert drive.recorded is not None
+    stem, truth = (data_folder() / part for part in drive.recorded)
+    files = Files(stem.with_suffix(".bag"), stem.with_suffix(".yaml"), truth, drive.exact)
+    for path in (files.bag, files.robot, files.truth):
+        if not path.is_file():
+            raise InputError(f"{path}: expected a recording there (or set SPLITSLAM_DATA)")
+    return files
+
+
 def prepare(case: Case, folder: Path, seconds: float | None) -> Files:
     """The case's files, made in `folder` when it is a made drive, of which `seconds` are enough (None: its own).
 
     Raises InputError when a recording is missing or the simulator refuses.
     """
     if case.drive.recorded is not None:
-        stem, truth = (data_folder() / part for part in case.drive.recorded)
-        files = Files(stem.with_suffix(".bag"), stem.with_suffix(".yaml"), truth, case.drive.exact)
-        for path in (files.bag, files.robot, files.truth):
-            if not path.is_file():
-                raise InputError(f"{path}: expected a recording there (or set SPLITSLAM_DATA)")
-        return files
+        return recorded_files(case.drive)
     command = [str(SPLITSLAM), "sim", case.drive.name, "--out", str(folder)]
     command += ["--seed", str(case.seed), "--perturb", case.perturb]
     length_s = min(filter(None, (seconds, case.drive.seconds)), default=None)

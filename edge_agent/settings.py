@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from edge_agent.rate import RateSettings
+from splitslam.codec import STEP_M
 from splitslam.config import Model
 
 
@@ -37,7 +38,7 @@ class PipelineSettings(Model):
     deskew: Literal["auto", "reference", "cpu", "fpga", "cosim", "off", "rotation"] = "auto"
     bitstream: Path | None = Field(default=None, description="the overlay's .bit, its .hwh beside it")
     min_points: int = Field(default=100, ge=1)
-    step_m: float = Field(default=0.01, gt=1e-4, le=0.5)
+    step_m: float = Field(default=STEP_M, gt=1e-4, le=0.5)
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
     rate: RateSettings = RateSettings()

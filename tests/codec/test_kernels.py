@@ -2,68 +2,360 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
-from splitslam import _codec_kernels as kernels
-from splitslam import codec
-from tests.codec.frames import COLUMNS, ELEVATIONS_RAD, feature_set, made_frame
+from splitslam import se3
+from splitslam.codec import _beam_kernels, _coder_kernels, _knot_kernels, _point_kernels, _version1_kernels
+from splitslam.codec._point_kernels import ACROSS, ALONG, COLUMN, LATE, UP
+from splitslam.codec.coder import Coder
+from splitslam.codec.logistic import SQUASH, STRETCH
+from splitslam.features import Knots
+from splitslam.motion_table import motion_table
+from tests.codec.frames import COLUMNS, ELEVATIONS_RAD, feature_set, motion
+from tests.tolerances import CODEC_TIME_NS
+
+# --- the range coder ------------------------------------------------------------------------------------------
+
+
+class ExactCoder:
+    """The range coder's arithmetic with one unbounded integer for `low`: no carry to look after."""
+
+    def __init__(self) -> None:
+        self.low, self.range, self.shifts = 0, 2**32 - 1, 0
+
+    def narrow(self, bound: int, bit: int) -> None:
+        if not bit:
+            self.low += bound
+        self.range = bound if bit else self.range - bound
+        while self.range < 2**24:
+            self.low, self.range, self.shifts = self.low << 8, self.range << 8, self.shifts + 1
+
+    def interval(self) -> tuple[Fraction, Fraction]:
+        unit = Fraction(1, 2 ** (32 + 8 * self.shifts))
+        return self.low * unit, (self.low + self.range) * unit
+
+
+@pytest.mark.parametrize("one_in", [2, 30, 4000])
+def test_the_bytes_name_a_number_within_the_exact_interval(one_in: int):
+    """Rare bits make long runs of 255, through which a carry has to go."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        data, exact = np.zeros(4000, np.uint8), ExactCoder()
+        state = Coder(data, False).arrays[0]
+        for bit in (rng.integers(0, one_in, 1200) == 0).astype(int):
+            bound = max(int(state[_coder_kernels.RANGE]) // one_in, 1)
+            _coder_kernels._narrow(state, data, bound, int(bit))
+            exact.narrow(bound, int(bit))
+        size = _coder_kernels.finish(state, data)
+        value = Fraction(int.from_bytes(data[:size].tobytes(), "big"), 256 ** int(size))
+        low, high = exact.interval()
+        assert low <= value < high
+
+
+def test_a_carry_goes_through_bytes_of_255_that_wait():
+    data = np.zeros(40, np.uint8)
+    state = Coder(data, False).arrays[0]
+    state[_coder_kernels.LOW], state[_coder_kernels.RANGE] = 0xFFFFFF00, 0x200
+    for _ in range(3):
+        _coder_kernels._shift(state, data)
+        state[_coder_kernels.LOW] |= 0xFF000000
+    assert state[_coder_kernels.PENDING] > 0
+    state[_coder_kernels.LOW] = 1 << 32
+    size = _coder_kernels.finish(state, data)
+    assert 255 not in data[:size]
+
+
+def test_numbers_of_every_size_come_back_and_common_ones_are_short():
+    rng = np.random.default_rng(1)
+    values = rng.integers(0, 2**30, 400) >> rng.integers(0, 30, 400)
+    values[:6] = [0, 1, 2, 3, 2**30 - 1, 2**29]
+    values = np.where(rng.random(400) < 0.5, -values, values)
+    assert coded(values)[1].tolist() == values.tolist()
+    assert len(coded(np.zeros(1000, np.int64))[0]) < 8
+    assert len(coded(np.full(1000, -7, np.int64))[0]) < 60
+    assert 1000 < len(coded(rng.integers(-128, 128, 1000))[0]) < 1100  # 8 bits each, and what learning costs
+
+
+def coded(values: np.ndarray) -> tuple[bytes, np.ndarray]:
+    coder = Coder(np.zeros(100 + 16 * len(values), np.uint8), False)
+    coder.numbers(values.astype(np.int64))
+    data = coder.close()
+    back = Coder(np.frombuffer(data, np.uint8).copy(), True)
+    result = back.numbers(np.zeros(len(values), np.int64))
+    back.close()
+    return data, result
+
+
+def test_fields_are_the_bits_they_are():
+    coder = Coder(np.zeros(64, np.uint8), False)
+    coder.fields([5, 0, 2**31 - 1, 1], (3, 1, 31, 1))
+    data = coder.close()
+    assert len(data) <= 6
+    assert Coder(np.frombuffer(data, np.uint8).copy(), True).fields([0] * 4, (3, 1, 31, 1)) == [5, 0, 2**31 - 1, 1]
+
+
+def test_the_tables_are_the_logistic_function_and_its_inverse():
+    x = np.arange(-2048, 2049) / 256
+    assert np.abs(SQUASH - 65536 / (1 + np.exp(-x))).max() <= 0.51
+    p = (np.arange(4096) + 0.5) / 4096
+    inside = np.abs(STRETCH) < 2040
+    assert inside.sum() > 4080
+    assert np.abs(STRETCH - 256 * np.log(p / (1 - p)))[inside].max() <= 24.0  # where the function is flat
+    assert np.abs(STRETCH - 256 * np.log(p / (1 - p)))[1000:3000].max() <= 1.0
+
+
+def test_levels_grow_by_two_an_octave_and_never_fall():
+    levels = [_coder_kernels.level(x) for x in range(-2, 4096)]
+    assert levels[:7] == [0, 0, 0, 1, 2, 3, 4]
+    assert np.all(np.diff(levels) >= 0)
+    assert [_coder_kernels.bit_length(x) for x in (0, 1, 255, 256)] == [0, 1, 8, 9]
+
+
+# --- points and their beams -----------------------------------------------------------------------------------
+
+
+def made_points(seed: int = 0, count: int = 120):
+    """(features, counts, points) with COLUMN filled."""
+    features = feature_set(np.random.default_rng(seed), count)
+    points = np.zeros((7, count), np.int32)
+    points[COLUMN] = features.column
+    return features, np.bincount(features.ring, minlength=len(ELEVATIONS_RAD)).astype(np.int64), points
+
+
+def directions(step_m: float):
+    azimuth = (np.arange(COLUMNS) - COLUMNS // 2) * 2 * np.pi / COLUMNS
+    e = ELEVATIONS_RAD.astype(np.float64)
+    return np.stack([np.cos(azimuth), np.sin(azimuth)], 1), np.stack([np.cos(e), np.sin(e)], 1), step_m
+
+
+def pose_at(knots: Knots, t_ns: int) -> np.ndarray:
+    """T_start_lidar by slerp between two knots."""
+    k = int(np.clip(np.searchsorted(knots.offsets_ns, t_ns, side="right") - 1, 0, len(knots.offsets_ns) - 2))
+    a, b = knots.offsets_ns[k], knots.offsets_ns[k + 1]
+    f = np.clip((t_ns - a) / (b - a), 0, 1)
+    A, B = se3.so3_exp(knots.rotation[k]), se3.so3_exp(knots.rotation[k + 1])
+    t = (1 - f) * knots.translation_m[k] + f * knots.translation_m[k + 1]
+    return se3.compose(A @ se3.so3_exp(f * se3.so3_log(A.T @ B)), t)
 
 
 def test_merging_two_sorted_sets_sorts_them_with_corners_first():
     rng = np.random.default_rng(0)
     a, b = feature_set(rng, 40), feature_set(rng, 90)
     order = np.empty(130, np.int32)
-    assert kernels.merge(a.ring, a.column, b.ring, b.column, order)
+    assert _beam_kernels.merge(a.ring, a.column, b.ring, b.column, order)
     ring, column = np.concatenate([a.ring, b.ring]), np.concatenate([a.column, b.column])
     np.testing.assert_array_equal(order, np.lexsort((np.arange(130), column, ring)))
-    assert not kernels.merge(a.ring[::-1].copy(), a.column, b.ring, b.column, order)
+    assert not _beam_kernels.merge(a.ring[::-1].copy(), a.column, b.ring, b.column, order)
 
 
-@pytest.mark.parametrize("signed", [True, False])
-def test_values_split_into_symbols_and_bits_join_again(signed: bool):
-    rng = np.random.default_rng(1)
-    values = (rng.integers(0, 2**29, 300) >> rng.integers(0, 29, 300)).astype(np.int32)
-    values[:5] = [0, 1, 63, 64, 2**29 - 1]
-    if signed:
-        values = np.where(rng.random(300) < 0.5, -values, values).astype(np.int32)
-    symbols, bits = np.empty(300, np.uint8), np.zeros(300 * 4, np.uint8)
-    position = kernels.split(values, signed, symbols, bits, 3)
-    back = np.empty(300, np.int32)
-    assert kernels.join(symbols, signed, bits, 3, back) == position
-    np.testing.assert_array_equal(back, values)
-    zigzag = np.where(values < 0, -2 * values.astype(np.int64) - 1, 2 * values.astype(np.int64)) if signed else values
-    for u, symbol in zip(zigzag, symbols, strict=True):
-        e = int(u).bit_length() - 1
-        assert symbol == (u if u < 64 else 64 + (e - 6) * 8 + ((int(u) >> (e - 3)) & 7))
-    assert kernels.join(symbols, signed, bits[: position // 8 - 1], 3, back) == -1
+def test_points_in_steps_are_the_points_in_the_frames_of_their_beams():
+    features, counts, points = made_points()
+    knots, step_m = motion().knots, 0.02
+    table = motion_table(knots)
+    arrays = (table.breaks_ns, table.base, table.slope)
+    fractions = np.empty(len(features))
+    assert _beam_kernels.to_steps(
+        features.points_lidar, counts, features.t_offset_ns, arrays, directions(step_m), points, fractions
+    )
+    for i in range(len(features)):
+        T = pose_at(knots, int(features.t_offset_ns[i]))
+        p = T[:3, :3].T @ (features.points_lidar[i] - T[:3, 3])
+        a = (int(features.column[i]) - COLUMNS // 2) * 2 * np.pi / COLUMNS
+        e = float(ELEVATIONS_RAD[features.ring[i]])
+        along = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        across = np.array([-np.sin(a), np.cos(a), 0.0])
+        want = np.array([along, across, np.cross(along, across)]) @ p
+        np.testing.assert_allclose(points[[ALONG, ACROSS, UP], i], want / step_m, atol=0.51)
+        assert fractions[i] == pytest.approx(want[1] / want[0], abs=1e-4)
+    back = np.empty((len(features), 3), np.float32)
+    _beam_kernels.from_steps(points, counts, features.t_offset_ns, arrays, directions(step_m), back)
+    assert np.abs(back - features.points_lidar).max() < np.sqrt(3) * step_m / 2 + 1e-4
 
 
-def test_a_value_beyond_the_largest_symbol_is_reported():
-    symbols, bits = np.empty(1, np.uint8), np.zeros(8, np.uint8)
-    assert kernels.split(np.array([2**29], np.int64), True, symbols, bits, 0) == -1
+def test_points_that_are_not_finite_are_reported():
+    features, counts, points = made_points()
+    table = motion_table(motion().knots)
+    features.points_lidar[7, 1] = np.nan
+    arrays = (table.breaks_ns, table.base, table.slope)
+    assert not _beam_kernels.to_steps(
+        features.points_lidar, counts, features.t_offset_ns, arrays, directions(0.02), points, np.empty(120)
+    )
+
+
+def test_times_follow_the_columns_and_come_back():
+    features, counts, points = made_points()
+    rate = -55_555 * 256
+    sent = features.t_offset_ns.copy()
+    assert _beam_kernels.follow_times(counts, rate, sent, points, False)
+    assert np.abs(sent.astype(np.int64) - features.t_offset_ns).max() <= CODEC_TIME_NS
+    i, t_first, c_first = 0, 0, 0
+    for count in counts:  # the naive twin
+        t, c = t_first, c_first
+        for n in range(count):
+            t += (rate * (int(points[COLUMN, i]) - c)) // 256 + 40_000 * int(points[LATE, i])
+            c = int(points[COLUMN, i])
+            assert sent[i] == t
+            if n == 0:
+                t_first, c_first = t, c
+            i += 1
+    got = np.empty_like(sent)
+    assert _beam_kernels.follow_times(counts, rate, got, points, True)
+    np.testing.assert_array_equal(got, sent)
+    points[LATE, 3] = 1 << 17
+    assert not _beam_kernels.follow_times(counts, rate, got, points, True)
 
 
 def test_the_rate_of_columns_is_found_for_both_senses_of_rotation():
     for clockwise in (True, False):
         f = feature_set(np.random.default_rng(2), 300, clockwise)
-        rates = np.empty(300)
-        n = kernels.neighbour_rates(f.ring, f.column, f.t_offset_ns, rates)
-        rate = kernels.mean_rate(f.ring, f.column, f.t_offset_ns, float(np.median(rates[:n])))
+        counts = np.bincount(f.ring, minlength=len(ELEVATIONS_RAD)).astype(np.int64)
+        points, rates = np.zeros((7, 300), np.int32), np.empty(300)
+        points[COLUMN] = f.column
+        n = _beam_kernels.neighbour_rates(counts, points, f.t_offset_ns, rates)
+        rate = _beam_kernels.mean_rate(counts, points, f.t_offset_ns, float(np.median(rates[:n])))
         assert rate == pytest.approx(-55_555 if clockwise else 55_555, rel=0.01)
 
 
-def test_a_small_frame_survives_both_kernels():
-    frame = made_frame(corners=10, surfs=30)
-    got = codec.decode(codec.encode(frame, ELEVATIONS_RAD, COLUMNS), 1, 0, True, ELEVATIONS_RAD)
-    assert np.abs(got.surfs.points_lidar - frame.surfs.points_lidar).max() < 0.01
-    np.testing.assert_array_equal(got.surfs.column, frame.surfs.column)
+def test_the_line_of_a_ring_is_that_of_least_squares_drawn_to_the_one_before():
+    rng = np.random.default_rng(3)
+    counts, points = np.array([60, 0, 80], np.int64), np.zeros((7, 140), np.int32)
+    points[ALONG] = rng.integers(200, 3000, 140)
+    points[UP, :60] = np.rint(9.0 - 0.02 * points[ALONG, :60])
+    points[UP, 60:] = np.rint(-3.0 + 0.01 * points[ALONG, 60:])
+    lines = np.empty((3, 2), np.int64)
+    _beam_kernels.fit_lines(counts, points, lines)
+    for r, part, before in ((0, slice(0, 60), [0, 0]), (2, slice(60, 140), lines[0] / [4, 16384])):
+        A = np.stack([np.ones(counts[r]), points[ALONG, part]], axis=1)
+        A, w = np.vstack([A, np.diag([1.0, 500.0])]), np.append(points[UP, part], before * np.array([1.0, 500.0]))
+        offset, slope = np.linalg.lstsq(A, w, rcond=None)[0]
+        assert lines[r, 0] / 4 == pytest.approx(offset, abs=0.126)
+        assert lines[r, 1] / 16384 == pytest.approx(slope, abs=4e-5)
+    np.testing.assert_array_equal(lines[1], lines[0])  # an empty ring says nothing new
 
 
-def test_predictions_are_integers_that_follow_the_residual():
+def test_the_steps_of_the_phase_add_up_by_columns_apart():
+    _, counts, points = made_points(5, 60)
+    fractions = np.random.default_rng(0).uniform(-0.0017, 0.0017, 60)
+    fractions[11] = 9.0
+    sums = np.zeros(200, np.complex128)
+    pairs = _beam_kernels.phase_steps(counts, points, fractions, 0.0035, sums)
+    want, ring = np.zeros(200, np.complex128), np.repeat(np.arange(len(counts)), counts)
+    seen = 0
+    for i in range(60):
+        for j in range(max(i - 4, 0), i):
+            gap = points[COLUMN, i] - points[COLUMN, j]
+            if ring[i] == ring[j] and gap < 200 and 11 not in (i, j):
+                want[gap] += np.exp(2j * np.pi * (fractions[i] - fractions[j]) / 0.0035)
+                seen += 1
+    assert pairs == seen
+    np.testing.assert_allclose(sums, want, atol=1e-9)
+
+
+def test_points_pass_the_model_whatever_they_are():
+    """Random ones, and the largest that there may be: the same integers come out."""
+    rng = np.random.default_rng(4)
+    for size in (3, 2000, _point_kernels.LARGEST):
+        _, counts, points = made_points(6, 90)
+        points[0], points[LATE] = rng.integers(0, 2, 90), rng.integers(-2, 3, 90) * (rng.random(90) < 0.2)
+        points[[ALONG, ACROSS, UP]] = rng.integers(-size, size + 1, (3, 90))
+        points[6] = rng.integers(0, 16, 90)
+        scales = np.array([COLUMNS, -55_555 * 256, 1, -5000, 3660, 1], np.int64)
+        lines, now = rng.integers(-100, 100, (16, 2)), np.empty(_point_kernels.NOW, np.int64)
+        coder = Coder(np.zeros(8192, np.uint8), False)
+        _point_kernels.code_counts(*coder.arrays, counts.copy())
+        assert _point_kernels.code_points(*coder.arrays, counts, scales, lines, points.copy(), now)
+        decoder = Coder(np.frombuffer(coder.close(), np.uint8).copy(), True)
+        got_counts, got = np.zeros(16, np.int64), np.zeros_like(points)
+        _point_kernels.code_counts(*decoder.arrays, got_counts)
+        np.testing.assert_array_equal(got_counts, counts)
+        assert _point_kernels.code_points(*decoder.arrays, counts, scales, lines, got, now)
+        np.testing.assert_array_equal(got, points)
+
+
+def test_the_ring_below_is_read_at_the_nearest_column_or_between_two_on_one_surface():
+    points = np.zeros((7, 4), np.int32)
+    points[COLUMN], points[ALONG], points[6] = [10, 20, 30, 40], [1000, 1040, 9000, 9000], [1, 2, 3, 4]
+    now = np.zeros(_point_kernels.NOW, np.int64)
+    now[_point_kernels._BELOW_END] = 4
+    for column, near, shade in (
+        (5, 1000, 1),
+        (15, 1020, 1),
+        (18, 1032, 2),
+        (26, 9000, 3),
+        (24, 1040, 2),
+        (99, 9000, 4),
+    ):
+        now[_point_kernels._UNDER] = 0
+        _point_kernels._look_below(points, column, now)
+        assert (now[_point_kernels._NEAR], now[_point_kernels._NEAR_SHADE]) == (near, shade)
+
+
+# --- knots ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 9, 17, 33])
+def test_knots_settle_within_half_a_residual_and_come_back(count: int):
+    rng = np.random.default_rng(count)
+    values = np.cumsum(np.cumsum(rng.integers(-40, 41, (count, 6)), axis=0), axis=0)
+    times = np.arange(count, dtype=np.int64) * 3_000 + rng.integers(0, 900, count)
+    for code in (_knot_kernels.halve, lambda *a: _knot_kernels.continue_rate(times, *a)):
+        settled, residuals = values.copy(), np.empty(values.size, np.int64)
+        code(settled, residuals, False)
+        assert np.abs(settled - values).max() <= _knot_kernels.COARSE // 2
+        back = np.empty_like(values)
+        code(back, residuals.copy(), True)
+        np.testing.assert_array_equal(back, settled)
+        again = settled.copy()
+        code(again, residuals, False)
+        np.testing.assert_array_equal(again, settled)
+
+
+def test_a_cubic_leaves_nothing_between_the_coarsest_knots():
+    t = np.linspace(0, 1, 33)[:, None]
+    values = np.rint(1e5 * t**3 - 2e4 * t**2 + 3e4 * t * np.arange(6)).astype(np.int64)
+    residuals = np.empty(values.size, np.int64)
+    _knot_kernels.halve(values, residuals, False)
+    assert np.abs(residuals[6 * 17 :]).max() <= 1
+    assert np.abs(residuals).max() > 1000
+
+
+def test_a_constant_rate_leaves_nothing_after_the_second_knot():
+    times = np.array([0, 700, 2500, 3000, 9000], np.int64)
+    values = times[:, None] * np.arange(1, 7)
+    residuals = np.empty(values.size, np.int64)
+    _knot_kernels.continue_rate(times, values, residuals, False)
+    assert np.abs(residuals[12:]).max() <= 1
+
+
+# --- version 1 ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("signed", [True, False])
+def test_symbols_and_bits_of_version_1_join_to_values(signed: bool):
+    rng = np.random.default_rng(1)
+    values = (rng.integers(0, 2**29, 300) >> rng.integers(0, 29, 300)).astype(np.int64)
+    values[:5] = [0, 1, 63, 64, 2**29 - 1]
+    values = np.where(rng.random(300) < 0.5, -values, values) if signed else values
+    symbols, bits = np.empty(300, np.uint8), []
+    for i, value in enumerate(values.tolist()):
+        u = (-2 * value - 1 if value < 0 else 2 * value) if signed else value
+        e = u.bit_length() - 1
+        symbols[i] = u if u < 64 else 64 + (e - 6) * 8 + ((u >> (e - 3)) & 7)
+        bits += [(u >> k) & 1 for k in range(e - 3)] if u >= 64 else []
+    packed = np.packbits(np.array(bits, np.uint8), bitorder="little")
+    back = np.empty(300, np.int32)
+    assert _version1_kernels.join(symbols, signed, packed, 0, back) == len(bits)
+    np.testing.assert_array_equal(back, values)
+    assert _version1_kernels.join(symbols, signed, packed[: len(packed) // 2], 0, back) == -1
+
+
+def test_predictions_of_version_1_are_integers_that_follow_the_residual():
     fraction = 0
     for _ in range(40):
-        fraction = kernels.blend(fraction, 1000, 5)
-    assert abs(kernels.predict(fraction, 2000) - 10) <= 1
-    assert kernels.blend(fraction, 0, 5) == fraction
-    assert abs(kernels.blend(0, 1, 10**6)) <= 1 << 18
+        fraction = _version1_kernels.blend(fraction, 1000, 5)
+    assert abs(_version1_kernels.predict(fraction, 2000) - 10) <= 1
+    assert _version1_kernels.blend(fraction, 0, 5) == fraction
+    assert abs(_version1_kernels.blend(0, 1, 10**6)) <= 1 << 18
