@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge_agent.features.integer import FeatureMarks, Limits
-from edge_agent.features.projection import Projector
+from edge_agent.features.projection import Image, Projector
 from edge_agent.features.select import Selector
 from edge_agent.settings import FeatureSettings
 from edge_agent.tally import RAW_POINT_BYTES
@@ -15,8 +15,13 @@ from tests.features.made_scan import made_scan
 RINGS, COLUMNS = 16, 1800
 
 
-def image():
+def image() -> Image:
     return Projector(RINGS, COLUMNS).project(made_scan())
+
+
+def lio_sams_marks(made: Image) -> FeatureMarks:
+    assert made.range_q is not None
+    return FeatureMarks.of(made.range_q, made.column, made.ring_start, Limits.of(lio_sam.SETTINGS))
 
 
 def test_a_raw_point_is_what_the_paper_says():
@@ -55,7 +60,7 @@ def test_ros_sends_ranges_and_columns_at_full_length_and_32_bytes_a_point():
 
 def test_lio_sams_features_are_those_of_our_dense_frames_at_its_settings():
     made = image()
-    marks = FeatureMarks.of(made.range_q, made.column, made.ring_start, Limits.of(lio_sam.SETTINGS))
+    marks = lio_sams_marks(made)
     corners, surfs = lio_sam.LioSamFeatures(RINGS, COLUMNS).select(made, marks)
     ours = Selector(lio_sam.SETTINGS, RINGS, COLUMNS).select(made, marks, dense=True)
     assert np.array_equal(made.points_lidar[corners], ours[0].points_lidar)
@@ -66,7 +71,7 @@ def test_lio_sams_features_are_those_of_our_dense_frames_at_its_settings():
 
 def test_a_larger_voxel_leaves_fewer_surfs_and_the_same_corners():
     made, features = image(), lio_sam.LioSamFeatures(RINGS, COLUMNS)
-    marks = FeatureMarks.of(made.range_q, made.column, made.ring_start, features.limits)
+    marks = lio_sams_marks(made)
     (corners, fine), (same, coarse) = features.select(made, marks), features.select(made, marks, leaf_m=2.0)
     assert np.array_equal(corners, same)
     assert len(coarse) < 0.6 * len(fine)

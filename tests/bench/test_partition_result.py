@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import json
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from splitslam.bench import laz, partition_show
 from splitslam.bench.partition_plot import draw
-from splitslam.bench.partition_result import A53_FACTOR, as_dict
-from tests.bench.made import partition
+from splitslam.bench.partition_result import A53_FACTOR, Partition, as_dict
+from tests.bench.made import PARTITION
 
 
-def shown(*found, laz_missing: bool = False) -> str:
-    console = Console(width=100, record=True, highlight=False, file=open("/dev/null", "w"))  # noqa: SIM115
-    with console.file:
-        partition_show.show(list(found), laz_missing, console)
-        return console.export_text()
+def shown(*found: Partition, laz_missing: bool = False) -> str:
+    console = Console(width=100, record=True, highlight=False, file=io.StringIO())
+    partition_show.show(list(found), laz_missing, console)
+    return console.export_text()
 
 
 def test_rates_and_ratios_are_those_of_tables_3_and_4():
-    (recording,) = as_dict([partition()], laz_missing=False)["recordings"]
+    (recording,) = as_dict([PARTITION], laz_missing=False)["recordings"]
     cases = recording["cases"]
     # 10 scans a second: 400 kB a scan are 32 Mbit/s
     assert cases["case1"]["points_mbps"] == pytest.approx(28.8)
@@ -35,7 +36,7 @@ def test_rates_and_ratios_are_those_of_tables_3_and_4():
 
 
 def test_break_evens_count_the_edge_the_packing_and_the_servers_share():
-    (recording,) = as_dict([partition()], laz_missing=False)["recordings"]
+    (recording,) = as_dict([PARTITION], laz_missing=False)["recordings"]
     ours, case3 = recording["cases"]["ours"], recording["cases"]["case3"]
     # 396 kB less to send; 4 ms + 0.5 ms against 0.1 ms + 3 ms
     assert ours["break_even_mbps"] == pytest.approx(396 * 8 / 1.4)
@@ -45,7 +46,7 @@ def test_break_evens_count_the_edge_the_packing_and_the_servers_share():
 
 
 def test_figure_12_is_time_plus_bits_over_bandwidth():
-    (recording,) = as_dict([partition()], laz_missing=False)["recordings"]
+    (recording,) = as_dict([PARTITION], laz_missing=False)["recordings"]
     figure = recording["figure_12"]
     assert (figure["bandwidth_mbps"][0], figure["bandwidth_mbps"][-1]) == pytest.approx((1, 200))
     assert figure["measured_ms"]["ours"][0] == pytest.approx(4.5 + 32)
@@ -53,7 +54,7 @@ def test_figure_12_is_time_plus_bits_over_bandwidth():
 
 
 def test_the_tables_fit_100_columns_and_nothing_is_cut():
-    text = shown(partition(), partition(name="kitti_0005_ring64_4s", native_bytes=None))
+    text = shown(PARTITION, replace(PARTITION, name="kitti_0005_ring64_4s", native_bytes=None))
     assert max(map(len, text.splitlines())) <= 100
     assert "…" not in text
     assert "67.85 and 125.63 Mbit/s" in text
@@ -62,16 +63,16 @@ def test_the_tables_fit_100_columns_and_nothing_is_cut():
 
 
 def test_without_the_codec_a_line_says_what_to_install():
-    text = shown(partition(laz_bytes=None), laz_missing=True)
+    text = shown(replace(PARTITION, laz_bytes=None), laz_missing=True)
     assert laz.MISSING in text
-    result = as_dict([partition(laz_bytes=None)], laz_missing=True)
+    result = as_dict([replace(PARTITION, laz_bytes=None)], laz_missing=True)
     assert result["laz"] is None
     assert result["recordings"][0]["cases"]["ours"]["ratio_to_laz"] is None
     json.dumps(result, allow_nan=False)
 
 
 def test_the_picture_is_drawn_for_recordings_with_and_without_native_packets():
-    one = draw([partition()])
-    two = draw([partition(), partition(native_bytes=None, laz_bytes=None)])
+    one = draw([PARTITION])
+    two = draw([PARTITION, replace(PARTITION, native_bytes=None, laz_bytes=None)])
     assert one.startswith(b"\x89PNG")
     assert len(two) > len(one)
