@@ -44,20 +44,17 @@ class LioSamFeatures:
         self._table, self._sums = np.empty((slots, 4), np.int64), np.empty((slots, 5))
 
     def select(
-        self, image: Image, marks: FeatureMarks, leaf_m: float = SETTINGS.surf_leaf_m
+        self,
+        image: Image,
+        marks: FeatureMarks,
+        leaf_m: float = SETTINGS.surf_leaf_m,
+        corners_per_sector: int = SETTINGS.corners_per_sector,
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows of the image's corners and surfs. image: deskewed points. marks: made with `limits`."""
         n = len(image)
         picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
         kernels.select_corners(
-            marks.d,
-            marks.marks,
-            image.column,
-            picked,
-            image.ring_start,
-            SETTINGS.sectors,
-            SETTINGS.corners_per_sector,
-            rank,
+            marks.d, marks.marks, image.column, picked, image.ring_start, SETTINGS.sectors, corners_per_sector, rank
         )
         kernels.thin_surfs(
             image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._slot_of[:n], kept

@@ -1,0 +1,138 @@
+"""Trajectory error against uplink rate: `python -m benchmarks.rate_distortion --help`.
+
+Three ways to send a scan from the same edge to the same map pipeline, each at several rates. Odometry only, so that
+neither loops nor GNSS mend what the wire has spoilt. Cells that are in the output folder are not computed again.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+if __package__ in (None, ""):  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import scoring
+from benchmarks.cells import Cell, Store
+from benchmarks.drives import DRIVES, Case, Files, prepare
+from benchmarks.rate_picture import draw, table
+from benchmarks.wires import LioSamZstd, Ours, ThinnedDraco, Wire
+from splitslam.bench.lockstep import lockstep
+from splitslam.errors import InputError
+from splitslam.tum import read_tum
+
+DEFAULT_DRIVES = "yard1,campus"
+DEFAULT = "300_1200_0.4"  # the level of ours that is our default
+# system -> level -> what goes over the wire; how a system is told to send less stands here and nowhere else.
+SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
+    "ours": {
+        "10_40_1.6": lambda: Ours(10, 40, 1.6),
+        "20_80_1.2": lambda: Ours(20, 80, 1.2),
+        "40_160_0.8": lambda: Ours(40, 160, 0.8),
+        "80_320_0.6": lambda: Ours(80, 320, 0.6),
+        "150_600_0.4": lambda: Ours(150, 600, 0.4),
+        DEFAULT: lambda: Ours(300, 1200, 0.4),
+        "all_dense": lambda: Ours(300, 1200, 0.4, dense_m=0.0),
+    },
+    "lio_sam_zstd": {
+        "1_5.0": lambda: LioSamZstd(1, 5.0),
+        "2_3.0": lambda: LioSamZstd(2, 3.0),
+        "5_1.6": lambda: LioSamZstd(5, 1.6),
+        "10_0.8": lambda: LioSamZstd(10, 0.8),
+        "20_0.4": lambda: LioSamZstd(20, 0.4),
+    },
+    "draco": {
+        f"{voxel_m:g}": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (4.5, 3.0, 2.0, 1.2, 0.8, 0.5)
+    },
+}
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def rate_distortion(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the cells are kept.")] = Path("out/rate_distortion"),
+    drives: Annotated[str, typer.Option(metavar="LIST", help=f"Of {', '.join(DRIVES)}.")] = DEFAULT_DRIVES,
+    systems: Annotated[str, typer.Option(metavar="LIST", help=f"Of {', '.join(SYSTEMS)}.")] = ",".join(SYSTEMS),
+    levels: Annotated[int, typer.Option(metavar="N", min=1, help="At most so many rates of a system.")] = 99,
+    max_scans: Annotated[int | None, typer.Option(metavar="N", min=1, help="Only so many scans of each.")] = None,
+    show: Annotated[bool, typer.Option("--show", help="Print and draw what is there, compute nothing.")] = False,
+) -> None:
+    """Compute what is missing, print the table in Markdown, draw rate_distortion.png into the output folder."""
+    cases = [Case(DRIVES[name]) for name in _listed("--drives", drives, tuple(DRIVES))]
+    chosen = _listed("--systems", systems, tuple(SYSTEMS))
+    store = Store(out)
+    for case in [] if show else cases:
+        _compute(case, [(s, level) for s in chosen for level in _spread(list(SYSTEMS[s]), levels)], store, max_scans)
+    found = {
+        case: {s: [cell for level in SYSTEMS[s] if (cell := store.get(case, f"{s}.{level}"))] for s in chosen}
+        for case in cases
+    }
+    print(table(found))
+    (out / "rate_distortion.png").write_bytes(draw(found, DEFAULT))
+
+
+def _compute(case: Case, wanted: list[tuple[str, str]], store: Store, max_scans: int | None) -> None:
+    missing = [(system, level) for system, level in wanted if store.get(case, f"{system}.{level}") is None]
+    if not missing:
+        return
+    with tempfile.TemporaryDirectory(prefix="splitslam-rate-") as folder:
+        files = prepare(case, Path(folder), None if max_scans is None else 0.1 * max_scans + 2.0)
+        for system, level in missing:
+            begun_s = time.monotonic()
+            cell = one(files, SYSTEMS[system][level](), case.drive.disable, max_scans)
+            store.put(case, f"{system}.{level}", {"case": case.name, "system": system, "level": level, **cell})
+            line = f"{case.name} {system} {level}: {cell['kbps']:.0f} kbit/s, ATE {cell['score']['ate_m']} m"
+            print(f"{line} ({time.monotonic() - begun_s:.0f} s)", file=sys.stderr, flush=True)
+
+
+def one(files: Files, wire: Wire, disable: tuple[str, ...] = (), max_scans: int | None = None) -> Cell:
+    """One recording over one wire: rate of the payloads, features a scan, errors of the trajectory."""
+    mapped = lockstep(
+        files.bag,
+        files.robot,
+        wire,
+        max_scans=max_scans,
+        disable=tuple(dict.fromkeys((*disable, "gnss"))),
+        edge_settings=wire.settings,
+        deskew_again=wire.deskew_again,
+    )
+    score = scoring.score(mapped.trajectory, read_tum(files.truth), mapped.trajectory.stamps_ns, search=False)
+    return {
+        "kbps": wire.sent.bytes * 8e-3 / mapped.recording_s,
+        "points_per_scan": wire.sent.points / max(1, wire.sent.frames),
+        "score": score.as_dict(),
+    }
+
+
+def _spread(levels: list[str], most: int) -> list[str]:
+    """At most `most` of them, evenly, the last among them."""
+    step = max(1, -(-len(levels) // most))
+    return levels[::-1][::step][::-1]
+
+
+def _listed(option: str, text: str, known: tuple[str, ...]) -> list[str]:
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    for part in parts:
+        if part not in known:
+            raise InputError(f"{option}: expected some of {', '.join(known)}, found {part!r}")
+    return parts
+
+
+def main() -> None:
+    """Exit code 2 and one line for what the user can mend."""
+    try:
+        app()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()
