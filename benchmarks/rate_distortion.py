@@ -32,24 +32,19 @@ DEFAULT = "300_1200_0.4"  # the level of ours that is our default
 # system -> level -> what goes over the wire; how a system is told to send less stands here and nowhere else.
 SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
     "ours": {
-        "10_40_1.6": lambda: Ours(10, 40, 1.6),
-        "20_80_1.2": lambda: Ours(20, 80, 1.2),
-        "40_160_0.8": lambda: Ours(40, 160, 0.8),
-        "80_320_0.6": lambda: Ours(80, 320, 0.6),
+        "25_100_0.8": lambda: Ours(25, 100, 0.8),
+        "60_240_0.6": lambda: Ours(60, 240, 0.6),
         "150_600_0.4": lambda: Ours(150, 600, 0.4),
         DEFAULT: lambda: Ours(300, 1200, 0.4),
         "all_dense": lambda: Ours(300, 1200, 0.4, dense_m=0.0),
     },
     "lio_sam_zstd": {
-        "1_5.0": lambda: LioSamZstd(1, 5.0),
-        "2_3.0": lambda: LioSamZstd(2, 3.0),
+        "2_2.4": lambda: LioSamZstd(2, 2.4),
         "5_1.6": lambda: LioSamZstd(5, 1.6),
         "10_0.8": lambda: LioSamZstd(10, 0.8),
         "20_0.4": lambda: LioSamZstd(20, 0.4),
     },
-    "draco": {
-        f"{voxel_m:g}": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (4.5, 3.0, 2.0, 1.2, 0.8, 0.5)
-    },
+    "draco": {f"{voxel_m:g}": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (3.0, 2.0, 1.2, 0.8, 0.5)},
 }
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -112,9 +107,10 @@ def one(files: Files, wire: Wire, disable: tuple[str, ...] = (), max_scans: int 
 
 
 def _spread(levels: list[str], most: int) -> list[str]:
-    """At most `most` of them, evenly, the last among them."""
-    step = max(1, -(-len(levels) // most))
-    return levels[::-1][::step][::-1]
+    """At most `most` of them, evenly, the highest rate among them."""
+    if len(levels) <= most:
+        return levels
+    return [levels[round((len(levels) - 1) * k / max(1, most - 1))] for k in range(most)] if most > 1 else levels[-1:]
 
 
 def _listed(option: str, text: str, known: tuple[str, ...]) -> list[str]:

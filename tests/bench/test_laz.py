@@ -6,12 +6,9 @@ import importlib
 from typing import Any
 
 import numpy as np
-import pytest
 
 from splitslam.bench.laz import Laz
 from tests.features.made_scan import made_scan
-
-pytest.importorskip("lazrs", reason="the optional codec is not installed")
 
 
 def test_what_was_compressed_comes_back_in_steps_of_a_centimetre():
