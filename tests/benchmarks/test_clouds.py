@@ -44,6 +44,13 @@ def test_morton_order_is_worth_its_sort(monkeypatch: pytest.MonkeyPatch):
     assert ordered < 0.85 * len(clouds.encode_morton(shuffled))
 
 
+def test_a_morton_code_interleaves_the_bits_of_the_axes():
+    steps = np.random.default_rng(2).integers(-(1 << 20), 1 << 20, (20, 3)).astype(np.int32)
+    bits = [[f"{int(value) + (1 << 20):021b}" for value in row] for row in steps]
+    naive = [int("".join(z + y + x for x, y, z in zip(*row, strict=True)), 2) for row in bits]
+    assert clouds._morton(steps).tolist() == naive
+
+
 def test_thinning_keeps_one_centroid_a_voxel():
     points = np.array([[0.1, 0.1, 0.1], [0.3, 0.1, 0.1], [-0.1, 0.1, 0.1]], np.float32)
     assert np.allclose(clouds.thinned(points, 0.5), [[-0.1, 0.1, 0.1], [0.2, 0.1, 0.1]])
