@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
@@ -21,10 +22,11 @@ from splitslam.bench.lockstep import Mapped, Seen, lockstep
 from splitslam.bench.options import PartitionOptions
 from splitslam.bench.partition_plot import draw
 from splitslam.bench.partition_result import Case, Partition, as_dict
+from splitslam.errors import InputError
 from splitslam.features import FeatureFrame
 from splitslam.run.options import RunOptions
 from splitslam.run.orchestrate import run_recording
-from splitslam.run.processes import RunFailedError, interruptible
+from splitslam.run.processes import interruptible
 from splitslam.run.progress import Progress
 from splitslam.run.staging import staging
 
@@ -45,7 +47,7 @@ def bench_partition(options: PartitionOptions, progress: Progress) -> tuple[list
 
 
 def _measure(run: RunOptions, progress: Progress) -> Partition:
-    uplink = _checked(run_recording(run, progress))
+    uplink = _checked(run_recording(run, progress), run.recording)
     progress.stage(f"{run.recording.stem}: the other cuts")
     probe = _Probe(lambda done: progress.scan(done, done))
     # programmable logic would hand over no ranges; its times are not this processor's
@@ -56,9 +58,9 @@ def _measure(run: RunOptions, progress: Progress) -> Partition:
     return probe.result(run.recording.stem, uplink, mapped)
 
 
-def _checked(report: dict[str, Any]) -> dict[str, Any]:
+def _checked(report: dict[str, Any], recording: Path) -> dict[str, Any]:
     if not report["recording_s"] > 0:
-        raise RunFailedError("the recording is too short for a rate")
+        raise InputError(f"{recording}: expected a recording of some seconds, found one message time")
     return {**report["uplink"], "recording_s": report["recording_s"]}
 
 
