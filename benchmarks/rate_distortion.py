@@ -32,6 +32,7 @@ DEFAULT = "300_1200_0.4"  # the level of ours that is our default
 # system -> level -> what goes over the wire; how a system is told to send less stands here and nowhere else.
 SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
     "ours": {
+        "25_100_1.2": lambda: Ours(25, 100, 1.2),
         "25_100_0.8": lambda: Ours(25, 100, 0.8),
         "60_240_0.6": lambda: Ours(60, 240, 0.6),
         "150_600_0.4": lambda: Ours(150, 600, 0.4),

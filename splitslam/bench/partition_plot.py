@@ -71,7 +71,8 @@ def draw_times(axes: Axes, one: Partition, edge_factor: float, title: str) -> No
         axis.set_major_formatter("{x:g}")
     axes.set_xlim(BANDWIDTHS_MBPS[0], BANDWIDTHS_MBPS[-1])
     axes.axhline(_SCAN_MS, color=INK, lw=0.7, ls=":")
-    axes.annotate("a scan at 10 Hz", (BANDWIDTHS_MBPS[0], _SCAN_MS), (4, -10), textcoords="offset points", fontsize=7)
+    at = (BANDWIDTHS_MBPS[-1], _SCAN_MS)
+    axes.annotate("a scan at 10 Hz", at, (-3, 3), textcoords="offset points", ha="right", fontsize=7)
     axes.set(xlabel="bandwidth (Mbit/s)", ylabel="edge + server + link (ms a scan)", title=title)
 
 

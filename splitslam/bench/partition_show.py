@@ -76,7 +76,7 @@ def _bytes(one: Partition) -> Table:
 
 def _ros(one: Partition) -> str:
     rates = " and ".join(f"{one.mbps(one.ros_bytes[name]):.1f}" for name in ("case2", "case3"))
-    return f"Cases 2 and 3: what the fields hold; LIO-SAM's messages as ROS serialises them: {rates} Mbit/s."
+    return f"Above: what the fields hold. LIO-SAM's messages as ROS serialises them: {rates} Mbit/s."
 
 
 def _times(one: Partition) -> Table:
