@@ -23,29 +23,28 @@ from benchmarks.cells import Cell, Store
 from benchmarks.drives import DRIVES, Case, Files, prepare
 from benchmarks.rate_picture import draw, table
 from benchmarks.wires import LioSamZstd, Ours, ThinnedDraco, Wire
+from edge_agent.settings import FeatureSettings
 from splitslam.bench.lockstep import lockstep
 from splitslam.errors import InputError
 from splitslam.tum import read_tum
 
 DEFAULT_DRIVES = "yard1,campus"
-DEFAULT = "300_1200_0.4"  # the level of ours that is our default
+DEFAULT = "default"  # the level of ours without a budget
 # system -> level -> what goes over the wire; how a system is told to send less stands here and nowhere else.
 SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
     "ours": {
-        "25_100_1.2": lambda: Ours(25, 100, 1.2),
-        "25_100_0.8": lambda: Ours(25, 100, 0.8),
-        "60_240_0.6": lambda: Ours(60, 240, 0.6),
-        "150_600_0.4": lambda: Ours(150, 600, 0.4),
-        DEFAULT: lambda: Ours(300, 1200, 0.4),
-        "all_dense": lambda: Ours(300, 1200, 0.4, dense_m=0.0),
+        **{f"{kbps} kbit/s": lambda kbps=kbps: Ours(kbps) for kbps in (40, 70, 120)},
+        DEFAULT: lambda: Ours(),
+        "three times the points": lambda: Ours(None, FeatureSettings(sparse_corners=300, sparse_surfs=1200)),
+        "all dense": lambda: Ours(None, dense_m=0.0),
     },
     "lio_sam_zstd": {
-        "2_2.4": lambda: LioSamZstd(2, 2.4),
-        "5_1.6": lambda: LioSamZstd(5, 1.6),
-        "10_0.8": lambda: LioSamZstd(10, 0.8),
-        "20_0.4": lambda: LioSamZstd(20, 0.4),
+        "2, 2.4 m": lambda: LioSamZstd(2, 2.4),
+        "5, 1.6 m": lambda: LioSamZstd(5, 1.6),
+        "10, 0.8 m": lambda: LioSamZstd(10, 0.8),
+        "20, 0.4 m": lambda: LioSamZstd(20, 0.4),
     },
-    "draco": {f"{voxel_m:g}": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (3.0, 2.0, 1.2, 0.8, 0.5)},
+    "draco": {f"{voxel_m:g} m": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (3.0, 2.0, 1.2, 0.8, 0.5)},
 }
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -67,7 +66,7 @@ def rate_distortion(
     for case in [] if show else cases:
         _compute(case, [(s, level) for s in chosen for level in _spread(list(SYSTEMS[s]), levels)], store, max_scans)
     found = {
-        case: {s: [cell for level in SYSTEMS[s] if (cell := store.get(case, f"{s}.{level}"))] for s in chosen}
+        case: {s: [cell for level in SYSTEMS[s] if (cell := store.get(case, cell_name(s, level)))] for s in chosen}
         for case in cases
     }
     print(table(found))
@@ -75,7 +74,7 @@ def rate_distortion(
 
 
 def _compute(case: Case, wanted: list[tuple[str, str]], store: Store, max_scans: int | None) -> None:
-    missing = [(system, level) for system, level in wanted if store.get(case, f"{system}.{level}") is None]
+    missing = [(system, level) for system, level in wanted if store.get(case, cell_name(system, level)) is None]
     if not missing:
         return
     with tempfile.TemporaryDirectory(prefix="splitslam-rate-") as folder:
@@ -83,13 +82,13 @@ def _compute(case: Case, wanted: list[tuple[str, str]], store: Store, max_scans:
         for system, level in missing:
             begun_s = time.monotonic()
             cell = one(files, SYSTEMS[system][level](), case.drive.disable, max_scans)
-            store.put(case, f"{system}.{level}", {"case": case.name, "system": system, "level": level, **cell})
+            store.put(case, cell_name(system, level), {"case": case.name, "system": system, "level": level, **cell})
             line = f"{case.name} {system} {level}: {cell['kbps']:.0f} kbit/s, ATE {cell['score']['ate_m']} m"
             print(f"{line} ({time.monotonic() - begun_s:.0f} s)", file=sys.stderr, flush=True)
 
 
 def one(files: Files, wire: Wire, disable: tuple[str, ...] = (), max_scans: int | None = None) -> Cell:
-    """One recording over one wire: rate of the payloads, features a scan, errors of the trajectory."""
+    """One recording over one wire: rate, features a scan, scans without a pose, errors of the trajectory."""
     mapped = lockstep(
         files.bag,
         files.robot,
@@ -97,14 +96,22 @@ def one(files: Files, wire: Wire, disable: tuple[str, ...] = (), max_scans: int 
         max_scans=max_scans,
         disable=tuple(dict.fromkeys((*disable, "gnss"))),
         edge_settings=wire.settings,
+        max_kbps=wire.max_kbps,
         deskew_again=wire.deskew_again,
     )
     score = scoring.score(mapped.trajectory, read_tum(files.truth), mapped.trajectory.stamps_ns, search=False)
+    scans, missing = mapped.counts.scans_read, mapped.counts.scans_read - len(mapped.trajectory)
     return {
         "kbps": wire.sent.bytes * 8e-3 / mapped.recording_s,
         "points_per_scan": wire.sent.points / max(1, wire.sent.frames),
-        "score": score.as_dict(),
+        "missing": missing,
+        "score": {**score.as_dict(), "failed": score.failed or missing > scoring.MISSING_RATIO * scans},
     }
+
+
+def cell_name(system: str, level: str) -> str:
+    """Of a cell's file."""
+    return f"{system}.{level.replace(', ', '_').replace(' ', '_').replace('/', '')}"
 
 
 def _spread(levels: list[str], most: int) -> list[str]:

@@ -29,6 +29,7 @@ def table(found: Found) -> str:
             cell["level"],
             f"{cell['kbps']:.0f}",
             f"{cell['points_per_scan']:.0f}",
+            f"{cell['missing']}",
             _mm(cell, "ate_m"),
             _mm(cell, "rpe_1s_m"),
         ]
@@ -36,7 +37,10 @@ def table(found: Found) -> str:
         for system, cells in systems.items()
         for cell in sorted(cells, key=lambda cell: cell["kbps"])
     ]
-    return markdown(["drive", "what is sent", "setting", "kbit/s", "points a scan", "ATE, mm", "RPE 1 s, mm"], rows)
+    return markdown(
+        ["drive", "what is sent", "setting", "kbit/s", "points a scan", "scans left out", "ATE, mm", "RPE 1 s, mm"],
+        rows,
+    )
 
 
 def _mm(cell: Cell, key: str) -> str:
@@ -61,7 +65,7 @@ def draw(found: Found, default: str) -> bytes:
                 axis.set_major_formatter("{x:g}")
             axes.set_xticks([40, 70, 120, 250, 500, 1000])
             axes.minorticks_off()
-            axes.set(xlabel="kbit/s (payload)", ylabel="ATE (mm)", title=case.drive.name)
+            axes.set(xlabel="kbit/s", ylabel="ATE (mm)", title=case.drive.name)
             axes.legend(loc="upper right")
         return png(figure, dpi=110)
 

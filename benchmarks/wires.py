@@ -13,25 +13,29 @@ import numpy as np
 
 from benchmarks import clouds
 from edge_agent.features.integer import FeatureMarks
+from edge_agent.rate import RateSettings
 from edge_agent.settings import DenseSettings, FeatureSettings, PipelineSettings
 from splitslam import codec
 from splitslam.bench.lio_sam import LioSamFeatures
 from splitslam.bench.lockstep import Seen
 from splitslam.features import FeatureFrame, FeatureSet
 
+# What the uplink puts around each frame (envelope, gRPC, HTTP/2): what our rate control reckons with.
+OVERHEAD_BYTES = RateSettings().frame_overhead_bytes
+
 
 @dataclass(slots=True)
 class Sent:
-    """What has gone over a wire so far."""
+    """What has gone over a wire so far, OVERHEAD_BYTES a frame included."""
 
     frames: int = 0
     bytes: int = 0
     points: int = 0
 
     def add(self, size: int, frame: FeatureFrame) -> FeatureFrame:
-        """Counts a frame of `size` bytes and hands it on."""
+        """Counts a frame with a payload of `size` bytes and hands it on."""
         self.frames += 1
-        self.bytes += size
+        self.bytes += size + OVERHEAD_BYTES
         self.points += len(frame.corners) + len(frame.surfs)
         return frame
 
@@ -40,6 +44,7 @@ class Wire(ABC):
     """One system at one setting."""
 
     deskew_again = False
+    max_kbps: float | None = None  # of the edge's rate control
 
     def __init__(self) -> None:
         self.sent = Sent()
@@ -64,15 +69,16 @@ class Wire(ABC):
 
 
 class Ours(Wire):
-    """Our codec. The rate is set by how many features are selected."""
+    """Our codec; its rate is set by the uplink's budget or, above what it needs, by how much it is told to send."""
 
     deskew_again = True
 
-    def __init__(self, corners: int, surfs: int, leaf_m: float, dense_m: float = 1.0) -> None:
-        """corners, surfs: of a frame that is not dense. leaf_m: of dense ones, every `dense_m`."""
+    def __init__(self, max_kbps: float | None = None, features: FeatureSettings | None = None, dense_m: float = 1.0):
+        """max_kbps: the budget, None for none. features: of frames; dense_m: how often one carries them all."""
         super().__init__()
-        features = FeatureSettings(sparse_corners=corners, sparse_surfs=surfs, surf_leaf_m=leaf_m)
-        self._settings = PipelineSettings(deskew="cpu", features=features, dense=DenseSettings(distance_m=dense_m))
+        self.max_kbps = max_kbps
+        features, dense = features or FeatureSettings(), DenseSettings(distance_m=dense_m)
+        self._settings = PipelineSettings(deskew="cpu", features=features, dense=dense)
 
     @property
     def settings(self) -> PipelineSettings:

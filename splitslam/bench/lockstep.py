@@ -112,10 +112,10 @@ class _SeeingPipeline(EdgePipeline):
 class _Service:
     """An uplink that is the map service itself."""
 
-    anchored = True
+    anchored, backlog = True, False
 
-    def __init__(self, pipeline: MapPipeline, edge: _SeeingPipeline, wire: Wire) -> None:
-        self._pipeline, self._edge, self._wire = pipeline, edge, wire
+    def __init__(self, pipeline: MapPipeline, edge: _SeeingPipeline, wire: Wire, limit_kbps: float | None) -> None:
+        self._pipeline, self._edge, self._wire, self.limit_kbps = pipeline, edge, wire, limit_kbps
         self._answers: list[Answer] = []
 
     def send(self, frame: pb.Frame) -> None:
@@ -158,11 +158,12 @@ def lockstep(
     max_scans: int | None = None,
     disable: tuple[str, ...] = (),
     edge_settings: EdgeSettings | None = None,
+    max_kbps: float | None = None,
     deskew_again: bool = True,
 ) -> Mapped:
     """Odometry of a recording with `wire` between edge and map; loops are off.
 
-    disable: of gnss, imu, wheels. deskew_again: False when the wire carries no times of points. Raises InputError for
+    disable: of gnss, imu, wheels. max_kbps: the uplink's budget. deskew_again: False when the wire carries no times of points. Raises InputError for
     a recording or a robot file that cannot be used.
     """
     off = {part: None for part in ("imu", "gnss", "wheels") if part in disable}
@@ -175,7 +176,7 @@ def lockstep(
         edge = _SeeingPipeline(read.robot, settings, beams, imu)
         deskew = edge.image_node.name if deskew_again else "off"
         service = MapPipeline(read.robot, MapSettings(), _NoLoops(), frozenset({*disable, "loops"}), deskew)
-        parts = Parts(sequencer, imu, edge, _Service(service, edge, wire), _Sink(), metrics)
+        parts = Parts(sequencer, imu, edge, _Service(service, edge, wire, max_kbps), _Sink(), metrics)
         loop = AgentLoop(parts, lockstep=True)
         loop.run([event] for event in read.events())
         loop.finish()

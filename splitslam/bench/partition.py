@@ -53,7 +53,13 @@ def _measure(run: RunOptions, progress: Progress) -> Partition:
     # programmable logic would hand over no ranges; its times are not this processor's
     settings = PipelineSettings(deskew="cpu")
     mapped = lockstep(
-        run.recording, run.robot, probe, max_scans=run.max_scans, disable=run.disable, edge_settings=settings
+        run.recording,
+        run.robot,
+        probe,
+        max_scans=run.max_scans,
+        disable=run.disable,
+        edge_settings=settings,
+        max_kbps=run.max_kbps,
     )
     return probe.result(run.recording.stem, uplink, mapped)
 

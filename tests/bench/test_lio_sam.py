@@ -62,7 +62,9 @@ def test_lio_sams_features_are_those_of_our_dense_frames_at_its_settings():
     made = image()
     marks = lio_sams_marks(made)
     corners, surfs = lio_sam.LioSamFeatures(RINGS, COLUMNS).select(made, marks)
-    ours = Selector(lio_sam.SETTINGS, RINGS, COLUMNS).select(made, marks, dense=True)
+    selector = Selector(lio_sam.SETTINGS, RINGS, COLUMNS)
+    selector.find(made, marks, dense=True)
+    ours = selector.choose(made, marks, dense=True)
     assert np.array_equal(made.points_lidar[corners], ours[0].points_lidar)
     assert np.array_equal(made.points_lidar[surfs], ours[1].points_lidar)
     assert len(corners) > 0

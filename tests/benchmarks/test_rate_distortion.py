@@ -33,9 +33,9 @@ def seen() -> Seen:
 
 
 def test_our_wire_is_our_codec_and_nothing_else(seen: Seen):
-    wire = wires.Ours(300, 1200, 0.4)
+    wire = wires.Ours()
     frame = wire(seen)
-    assert wire.sent.bytes == len(seen.frame.payload)
+    assert wire.sent.bytes == len(seen.frame.payload) + wires.OVERHEAD_BYTES
     assert wire.sent.points == len(frame.corners) + len(frame.surfs) == seen.frame.corners + seen.frame.surfs
 
 
@@ -58,7 +58,7 @@ def test_every_wire_pays_for_the_motion(seen: Seen):
     draco, lio_sam = wires.ThinnedDraco(0.5), wires.LioSamZstd(20, 0.4)
     for wire in (draco, lio_sam):
         wire(seen)
-        assert 100 < wire.sent.bytes - wire.clouds(seen)[2] < 600
+        assert 100 < wire.sent.bytes - wires.OVERHEAD_BYTES - wire.clouds(seen)[2] < 600
     assert draco.sent.points == len(draco.clouds(seen)[1])
 
 
@@ -78,7 +78,7 @@ def test_a_drive_over_each_wire_makes_cells_that_are_not_made_again(shared_data:
 
 
 def test_a_failed_cell_is_named_in_the_table_and_not_drawn():
-    good = {"level": "a", "kbps": 100.0, "points_per_scan": 500.0}
+    good = {"level": "a", "kbps": 100.0, "points_per_scan": 500.0, "missing": 0}
     good["score"] = {"ate_m": 0.003, "rpe_1s_m": 0.002, "failed": False}
     bad = {**good, "level": "b", "kbps": 50.0, "score": {"ate_m": 7.0, "rpe_1s_m": 2.0, "failed": True}}
     case = Case(DRIVES["yard1"])
