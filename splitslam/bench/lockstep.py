@@ -163,8 +163,8 @@ def lockstep(
 ) -> Mapped:
     """Odometry of a recording with `wire` between edge and map; loops are off.
 
-    disable: of gnss, imu, wheels. max_kbps: the uplink's budget. deskew_again: False when the wire carries no times of points. Raises InputError for
-    a recording or a robot file that cannot be used.
+    disable: of gnss, imu, wheels. max_kbps: the uplink's budget. deskew_again: False when the wire carries no times of
+    points. Raises InputError for a recording or a robot file that cannot be used.
     """
     off = {part: None for part in ("imu", "gnss", "wheels") if part in disable}
     robot = load_robot(robot_path).model_copy(update=off)
