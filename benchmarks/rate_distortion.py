@@ -41,8 +41,10 @@ SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
     "lio_sam_zstd": {
         "2, 2.4 m": lambda: LioSamZstd(2, 2.4),
         "5, 1.6 m": lambda: LioSamZstd(5, 1.6),
+        "every 4th scan": lambda: LioSamZstd(every=4),
+        "every 2nd scan": lambda: LioSamZstd(every=2),
         "10, 0.8 m": lambda: LioSamZstd(10, 0.8),
-        "20, 0.4 m": lambda: LioSamZstd(20, 0.4),
+        "20, 0.4 m": lambda: LioSamZstd(),
     },
     "draco": {f"{voxel_m:g} m": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (3.0, 2.0, 1.2, 0.8, 0.5)},
 }
@@ -98,9 +100,11 @@ def one(files: Files, wire: Wire, disable: tuple[str, ...] = (), max_scans: int 
         edge_settings=wire.settings,
         max_kbps=wire.max_kbps,
         deskew_again=wire.deskew_again,
+        every=wire.every,
     )
     score = scoring.score(mapped.trajectory, read_tum(files.truth), mapped.trajectory.stamps_ns, search=False)
-    scans, missing = mapped.counts.scans_read, mapped.counts.scans_read - len(mapped.trajectory)
+    scans = mapped.counts.scans_read // wire.every
+    missing = scans - len(mapped.trajectory)
     return {
         "kbps": wire.sent.bytes * 8e-3 / mapped.recording_s,
         "points_per_scan": wire.sent.points / max(1, wire.sent.frames),

@@ -45,6 +45,7 @@ class Wire(ABC):
 
     deskew_again = False
     max_kbps: float | None = None  # of the edge's rate control
+    every: int = 1  # 2: each second scan is sent, and so on
 
     def __init__(self) -> None:
         self.sent = Sent()
@@ -94,8 +95,10 @@ class Ours(Wire):
 class LioSamZstd(Wire):
     """LIO-SAM's corners and surfs of every scan in steps of 1 cm, Morton order and zstd."""
 
-    def __init__(self, corners_per_sector: int, leaf_m: float) -> None:
+    def __init__(self, corners_per_sector: int = 20, leaf_m: float = 0.4, every: int = 1) -> None:
+        """every: LIO-SAM itself maps each second scan."""
         super().__init__()
+        self.every = every
         self._corners_per_sector, self._leaf_m = corners_per_sector, leaf_m
         self._features: LioSamFeatures | None = None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from edge_agent.loop import AgentLoop, Imu, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings as EdgeSettings
-from edge_agent.sources import Sequencer, open_recording
+from edge_agent.sources import Event, Sequencer, open_recording
 from edge_agent.sources.recording import Counts
 from edge_agent.types import EncodedFrame, MotionSource, OdomPoses
 from edge_agent.warm_up import warm_up
@@ -160,11 +160,13 @@ def lockstep(
     edge_settings: EdgeSettings | None = None,
     max_kbps: float | None = None,
     deskew_again: bool = True,
+    every: int = 1,
 ) -> Mapped:
     """Odometry of a recording with `wire` between edge and map; loops are off.
 
     disable: of gnss, imu, wheels. max_kbps: the uplink's budget. deskew_again: False when the wire carries no times of
-    points. Raises InputError for a recording or a robot file that cannot be used.
+    points. every: 2 takes each second scan, and so on. Raises InputError for a recording or a robot file that cannot be
+    used.
     """
     off = {part: None for part in ("imu", "gnss", "wheels") if part in disable}
     robot = load_robot(robot_path).model_copy(update=off)
@@ -178,11 +180,22 @@ def lockstep(
         service = MapPipeline(read.robot, MapSettings(), _NoLoops(), frozenset({*disable, "loops"}), deskew)
         parts = Parts(sequencer, imu, edge, _Service(service, edge, wire, max_kbps), _Sink(), metrics)
         loop = AgentLoop(parts, lockstep=True)
-        loop.run([event] for event in read.events())
+        loop.run([event] for event in _thinned(read.events(), every))
         loop.finish()
         service.finish()
         edge.image_node.close()
         return Mapped(_trajectory(service), read.counts, (read.end_ns - read.start_ns) * 1e-9)
+
+
+def _thinned(events: Iterator[tuple[int, Event]], every: int) -> Iterator[tuple[int, Event]]:
+    """Without the scans between each `every`th."""
+    scans = 0
+    for at_ns, event in events:
+        if isinstance(event, Scan):
+            scans += 1
+            if scans % every:
+                continue
+        yield at_ns, event
 
 
 def _trajectory(service: MapPipeline) -> Trajectory:

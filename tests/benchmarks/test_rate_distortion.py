@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import rate_distortion, wires
-from benchmarks.drives import DRIVES, Case
+from benchmarks.drives import DRIVES, Case, Files
 from benchmarks.rate_picture import draw, table
 from splitslam.bench.lio_sam import LioSamFeatures
 from splitslam.bench.lockstep import Seen
@@ -75,6 +75,16 @@ def test_a_drive_over_each_wire_makes_cells_that_are_not_made_again(shared_data:
     again = subprocess.run([*command, "--show"], capture_output=True, text=True, cwd=ROOT, timeout=400)
     assert (again.stdout, again.stderr) == (first.stdout, "")
     assert (tmp_path / "rate_distortion.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_with_every_third_scan_every_third_is_sent(shared_data: Path):
+    stem = shared_data / "yard1/yard1"
+    files = Files(stem.with_suffix(".bag"), stem.with_suffix(".yaml"), stem.with_suffix(".tum"))
+    wire = wires.LioSamZstd(every=3)
+    cell = rate_distortion.one(files, wire, max_scans=14)
+    assert wire.sent.frames == 4
+    assert cell["missing"] == 0
+    assert not cell["score"]["failed"]
 
 
 def test_a_failed_cell_is_named_in_the_table_and_not_drawn():
