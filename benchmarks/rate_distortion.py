@@ -41,6 +41,7 @@ SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
     "lio_sam_zstd": {
         "2, 2.4 m": lambda: LioSamZstd(2, 2.4),
         "5, 1.6 m": lambda: LioSamZstd(5, 1.6),
+        "every 8th scan": lambda: LioSamZstd(every=8),
         "every 4th scan": lambda: LioSamZstd(every=4),
         "every 2nd scan": lambda: LioSamZstd(every=2),
         "10, 0.8 m": lambda: LioSamZstd(10, 0.8),
