@@ -47,7 +47,14 @@ SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
         "10, 0.8 m": lambda: LioSamZstd(10, 0.8),
         "20, 0.4 m": lambda: LioSamZstd(),
     },
-    "draco": {f"{voxel_m:g} m": lambda voxel_m=voxel_m: ThinnedDraco(voxel_m) for voxel_m in (3.0, 2.0, 1.2, 0.8, 0.5)},
+    "draco": {
+        "2 m": lambda: ThinnedDraco(2.0),
+        "1.2 m": lambda: ThinnedDraco(1.2),
+        "every 8th scan": lambda: ThinnedDraco(0.5, every=8),
+        "every 4th scan": lambda: ThinnedDraco(0.5, every=4),
+        "0.8 m": lambda: ThinnedDraco(0.8),
+        "0.5 m": lambda: ThinnedDraco(0.5),
+    },
 }
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

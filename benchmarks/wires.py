@@ -116,9 +116,9 @@ class LioSamZstd(Wire):
 class ThinnedDraco(Wire):
     """The deskewed scan thinned to voxels, in steps of 1 cm, by Draco; each point is a surf, as none says it is not."""
 
-    def __init__(self, voxel_m: float) -> None:
+    def __init__(self, voxel_m: float, every: int = 1) -> None:
         super().__init__()
-        self._voxel_m = voxel_m
+        self._voxel_m, self.every = voxel_m, every
 
     def clouds(self, seen: Seen) -> tuple[clouds.Points, clouds.Points, int]:
         data = clouds.encode_draco(clouds.thinned(seen.image.points_lidar, self._voxel_m))
