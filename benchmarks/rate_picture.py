@@ -16,7 +16,7 @@ NAMES = {
     "draco": "scan thinned to voxels, Draco",
 }
 _COLOURS = {"ours": BLUE, "lio_sam_zstd": ORANGE, "draco": GREEN}
-_KBPS = (30.0, 2000.0)
+_KBPS, _MM = (30.0, 2000.0), (0.8, 120.0)
 Found = dict[Case, dict[str, list[Cell]]]
 
 
@@ -57,23 +57,41 @@ def draw(found: Found, default: str) -> bytes:
         panels = figure.subplots(1, max(1, len(found)), squeeze=False)[0]
         for axes, (case, systems) in zip(panels, found.items(), strict=False):
             for system, cells in systems.items():
-                _curve(axes, system, [cell for cell in cells if not cell["score"]["failed"]], default)
+                _curve(axes, system, cells, default)
             axes.set_xscale("log")
             axes.set_yscale("log")
             axes.set_xlim(*_KBPS)
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_formatter("{x:g}")
             axes.set_xticks([40, 70, 120, 250, 500, 1000])
+            axes.set_yticks([1, 2, 5, 10, 20, 50, 100])
+            axes.set_ylim(*_MM)
             axes.minorticks_off()
             axes.set(xlabel="kbit/s", ylabel="ATE (mm)", title=case.drive.name)
-            axes.legend(loc="upper right")
+            axes.legend(loc="upper right", bbox_to_anchor=(1.0, 0.95))
+            axes.annotate("x: fails", (1.0, 1.02), xycoords="axes fraction", ha="right", fontsize=7)
         return png(figure, dpi=110)
 
 
 def _curve(axes: Axes, system: str, cells: list[Cell], default: str) -> None:
-    cells = sorted(cells, key=lambda cell: cell["kbps"])
-    x, y = [cell["kbps"] for cell in cells], [1e3 * cell["score"]["ate_m"] for cell in cells]
-    axes.plot(x, y, "o-", color=_COLOURS[system], ms=4.5, lw=1.8, label=NAMES[system])
-    for cell, kbps, ate_mm in zip(cells, x, y, strict=True):
-        if system == "ours" and cell["level"] == default:
-            axes.plot([kbps], [ate_mm], "o", mfc="none", mec=INK, ms=11, label="our default")
+    """Thinned in space: a line; in time: a dashed one that starts with every scan; failed: a cross at the top."""
+    cells, colour = sorted(cells, key=lambda cell: cell["kbps"]), _COLOURS[system]
+    good = [cell for cell in cells if not cell["score"]["failed"]]
+    in_space = [cell for cell in good if not _in_time(cell)]
+    axes.plot(*_xy(in_space), "o-", color=colour, ms=4.5, lw=1.8, label=NAMES[system])
+    if in_time := [cell for cell in good if _in_time(cell)]:
+        label = f"{NAMES[system]}: every nth scan"
+        axes.plot(*_xy([*in_time, *in_space[-1:]]), "o--", color=colour, mfc="white", ms=4.5, lw=1.2, label=label)
+    if failed := [cell["kbps"] for cell in cells if cell["score"]["failed"]]:
+        top = axes.get_xaxis_transform()
+        axes.plot(failed, [0.97] * len(failed), "x", color=colour, ms=7, mew=2, transform=top, clip_on=False)
+    if system == "ours":
+        axes.plot(*_xy([cell for cell in good if cell["level"] == default]), "o", mfc="none", mec=INK, ms=11)
+
+
+def _in_time(cell: Cell) -> bool:
+    return cell["level"].startswith("every")
+
+
+def _xy(cells: list[Cell]) -> tuple[list[float], list[float]]:
+    return [cell["kbps"] for cell in cells], [1e3 * cell["score"]["ate_m"] for cell in cells]

@@ -87,7 +87,7 @@ def test_with_every_third_scan_every_third_is_sent(shared_data: Path):
     assert not cell["score"]["failed"]
 
 
-def test_a_failed_cell_is_named_in_the_table_and_not_drawn():
+def test_a_failed_cell_is_named_in_the_table_and_drawn_as_failed():
     good = {"level": "a", "kbps": 100.0, "points_per_scan": 500.0, "missing": 0}
     good["score"] = {"ate_m": 0.003, "rpe_1s_m": 0.002, "failed": False}
     bad = {**good, "level": "b", "kbps": 50.0, "score": {"ate_m": 7.0, "rpe_1s_m": 2.0, "failed": True}}
@@ -95,7 +95,10 @@ def test_a_failed_cell_is_named_in_the_table_and_not_drawn():
     lines = table({case: {"draco": [good, bad]}}).splitlines()
     assert "fails (7.0 m)" in lines[2]
     assert "| 3.0 |" in lines[3]
-    assert draw({case: {"draco": [good, bad]}}, "a") == draw({case: {"draco": [good]}}, "a")
+    drawn = draw({case: {"draco": [good, bad]}}, "a")
+    worse = {**bad, "score": {**bad["score"], "ate_m": 100.0}}
+    assert drawn == draw({case: {"draco": [good, worse]}}, "a"), "its error has no place on the axis"
+    assert drawn != draw({case: {"draco": [good]}}, "a")
 
 
 def test_each_system_has_three_rates_or_more_and_a_choice_keeps_the_highest():
