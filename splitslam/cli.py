@@ -23,6 +23,10 @@ app = typer.Typer(
 )
 
 
+bench = typer.Typer(help="The paper's experiments on recordings of your own.", no_args_is_help=True)
+app.add_typer(bench, name="bench")
+
+
 @app.callback(invoke_without_command=True)
 def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
     if version:
@@ -81,7 +85,7 @@ def run(
         realtime=realtime,
         max_scans=max_scans,
         deskew=deskew,
-        disable=tuple(part.strip() for part in disable.split(",") if part.strip()),
+        disable=_listed(disable),
         max_kbps=max_kbps,
         truth=truth,
         picture=picture,
@@ -117,6 +121,42 @@ def check(
     print(json.dumps(result, allow_nan=False)) if as_json else show.show(report)
     if not result["ok"]:
         raise typer.Exit(1)
+
+
+@bench.callback()
+def _bench() -> None:
+    """Keeps `partition` a command of its own while it is the only one."""
+
+
+@bench.command("partition")
+def bench_partition(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Bags, robot file beside each.")],
+    robot: Annotated[Path | None, typer.Option(metavar="FILE", help="Robot file of a single recording.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where partition.json and .png go.")] = Path("out/partition"),
+    max_scans: Annotated[int | None, typer.Option(metavar="N", help="Read only so many scans of each.")] = None,
+    disable: Annotated[str, typer.Option(metavar="LIST", help="Comma-separated, of loops, gnss, imu, wheels.")] = "",
+    max_kbps: Annotated[float | None, typer.Option(metavar="N", help="Upper bound of our uplink, kbit/s.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print partition.json.")] = False,
+) -> None:
+    """What each cut through LIO-SAM sends, and how long a scan takes: Tables III and IV, Figure 12."""
+    import json
+
+    from splitslam.bench.options import PartitionOptions
+    from splitslam.run.options import check_installed
+    from splitslam.run.progress import Progress
+
+    options = PartitionOptions(tuple(recordings), out, robot, max_scans, _listed(disable), max_kbps)
+    check_installed(("viz", "edge", "server"))
+    from splitslam.bench.partition import bench_partition as measure
+    from splitslam.bench.partition_show import show
+
+    with Progress() as progress:
+        found, result = measure(options, progress)
+    if as_json:
+        print(json.dumps(result, allow_nan=False))
+        return
+    show(found, laz_missing=result["laz"] is None)
+    print(f"{out / 'partition.json'}\n{out / 'partition.png'}")
 
 
 @app.command("demo")
@@ -169,6 +209,10 @@ def sim(
         made = command.make(spec, out, progress.made)
     for path in (made.bag_path, made.robot_path, made.truth_path, made.imu_truth_path):
         print(path)
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 def _show_run(report: dict[str, Any], out: Path, as_json: bool) -> None:

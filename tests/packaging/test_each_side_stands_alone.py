@@ -144,7 +144,7 @@ def test_the_lock_names_every_direct_dependency_and_no_address() -> None:
     locked = {canonical(line.partition("==")[0]) for line in text.splitlines() if "==" in line}
     project = _project()
     extras = {**project["optional-dependencies"], "": project["dependencies"]}
-    peers = {canonical(Requirement(text).name) for text in extras.pop("bench")}
+    peers = {canonical(Requirement(text).name) for text in extras.pop("peers")}
     direct = {canonical(Requirement(text).name) for group in extras.values() for text in group}
     assert direct <= locked
     assert not peers & locked, "the peers have an environment of their own"
@@ -155,5 +155,5 @@ def test_the_lock_names_every_direct_dependency_and_no_address() -> None:
 def test_the_peers_environment_has_the_versions_that_the_extra_allows() -> None:
     lines = (ROOT / "requirements" / "bench.txt").read_text().splitlines()
     pins = dict(line.split("==") for line in lines if "==" in line)
-    for asked in map(Requirement, _project()["optional-dependencies"]["bench"]):
+    for asked in map(Requirement, _project()["optional-dependencies"]["peers"]):
         assert pins[asked.name] in asked.specifier

@@ -1,0 +1,1 @@
+"""`splitslam bench`: the paper's experiments on recordings, by measurement."""

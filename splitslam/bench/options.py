@@ -1,0 +1,50 @@
+"""What `splitslam bench` was asked for, checked before anything is loaded or started."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from splitslam.errors import InputError
+from splitslam.robot import load_robot
+from splitslam.run.options import RunOptions
+
+
+@dataclass(frozen=True, slots=True)
+class PartitionOptions:
+    """robot: None for the robot file beside each recording. disable, max_kbps: as of `splitslam run`."""
+
+    recordings: tuple[Path, ...]
+    out: Path
+    robot: Path | None = None
+    max_scans: int | None = None
+    disable: tuple[str, ...] = ()
+    max_kbps: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError: one line that names the option and what was expected."""
+        if self.robot is not None and len(self.recordings) > 1:
+            raise InputError(f"--robot: expected one recording with it, found {len(self.recordings)}")
+        for run in self.runs(self.out):
+            load_robot(run.robot)
+
+    def runs(self, work: Path) -> list[RunOptions]:
+        """One run each, into folders of `work`."""
+        return [
+            RunOptions(
+                recording=recording,
+                robot=self.robot or _beside(recording),
+                out=work / f"run{number}",
+                max_scans=self.max_scans,
+                disable=self.disable,
+                max_kbps=self.max_kbps,
+            )
+            for number, recording in enumerate(self.recordings)
+        ]
+
+
+def _beside(recording: Path) -> Path:
+    robot = recording.with_suffix(".yaml")
+    if recording.exists() and not robot.is_file():
+        raise InputError(f"{robot}: expected a robot file beside the recording (or --robot)")
+    return robot
