@@ -36,6 +36,7 @@ SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
         **{f"{kbps} kbit/s": lambda kbps=kbps: Ours(kbps) for kbps in (40, 70, 120)},
         DEFAULT: lambda: Ours(),
         "three times the points": lambda: Ours(None, FeatureSettings(sparse_corners=300, sparse_surfs=1200)),
+        **{f"every {n}th scan": lambda n=n: Ours(None, dense_m=0.0, every=n) for n in (8, 4)},
         "all dense": lambda: Ours(None, dense_m=0.0),
     },
     "lio_sam_zstd": {

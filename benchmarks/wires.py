@@ -74,10 +74,19 @@ class Ours(Wire):
 
     deskew_again = True
 
-    def __init__(self, max_kbps: float | None = None, features: FeatureSettings | None = None, dense_m: float = 1.0):
-        """max_kbps: the budget, None for none. features: of frames; dense_m: how often one carries them all."""
+    def __init__(
+        self,
+        max_kbps: float | None = None,
+        features: FeatureSettings | None = None,
+        dense_m: float = 1.0,
+        every: int = 1,
+    ) -> None:
+        """max_kbps: the budget, None for none. features: of frames; dense_m: how often one carries them all.
+
+        every: to compare with the others; the edge agent has no such setting.
+        """
         super().__init__()
-        self.max_kbps = max_kbps
+        self.max_kbps, self.every = max_kbps, every
         features, dense = features or FeatureSettings(), DenseSettings(distance_m=dense_m)
         self._settings = PipelineSettings(deskew="cpu", features=features, dense=dense)
 
