@@ -15,6 +15,7 @@ from splitslam.config import Model
 
 WINDOW_NS = 5_000_000_000
 BYTES_PER_KBIT = 125.0
+_LEFT_BY_DENSE = 6  # of the smallest frames: a dense one leaves them room
 
 
 class RateSettings(Model):
@@ -22,11 +23,17 @@ class RateSettings(Model):
 
     target: float = Field(default=0.93, gt=0, le=1, description="mean use while features are withheld")
     ceiling: float = Field(default=1.0, gt=0, le=1.1, description="largest use of any window")
-    largest_frame: float = Field(default=0.25, gt=0, le=1, description="of one window, for one frame")
+    spare: float = Field(
+        default=0.05, ge=0, le=0.1, description="beyond the ceiling, for frames with the fewest points"
+    )
+    largest_frame: float = Field(default=0.15, gt=0, le=1, description="of one window, for one frame")
     backlog_share: float = Field(default=0.7, gt=0, le=1, description="for new frames while old ones wait to be sent")
     horizon_s: float = Field(default=1.5, gt=0, description="in which a window's surplus or lack is evened out")
     fewest_points: int = Field(default=60, ge=1, description="no frame is worth sending with fewer")
-    fewest_dense_points: int = Field(default=500, ge=1, description="a keyframe of fewer maps nothing")
+    fewest_dense_points: int = Field(default=1000, ge=1, description="a keyframe of fewer maps little")
+    first_dense_frames: int = Field(
+        default=3, ge=0, description="the map begins with them: whole, if the window allows"
+    )
     frame_overhead_bytes: int = Field(
         default=140, ge=0, description="around a payload: envelope, gRPC, HTTP/2, reports"
     )
@@ -63,12 +70,13 @@ class RateControl:
         self.settings, self.backlog = settings, False
         self._limit_kbps = limit_kbps
         self.withheld_points = 0
+        self._dense_frames = 0
         self._sent: deque[tuple[int, int]] = deque()  # (stamp_ns, bytes) of the last window
         self._sum = 0
         overhead = settings.frame_overhead_bytes
         self._kinds = {
-            False: _Kind(200.0 + overhead, 2.0, 300.0, 9.0, settings.fewest_points),
-            True: _Kind(300.0 + overhead, 1.6, 4000.0, 1.0, settings.fewest_dense_points),
+            False: _Kind(110.0 + overhead, 2.3, 500.0, 9.0, settings.fewest_points),
+            True: _Kind(110.0 + overhead, 1.2, 5000.0, 1.0, settings.fewest_dense_points),
         }
         self._last_ns: int | None = None
 
@@ -92,7 +100,7 @@ class RateControl:
         """Is there room for a frame at all? If not, the scan is left out before anything is done with it."""
         if self.limit_kbps is None:
             return True
-        return self._kinds[False].least_bytes <= self._room(stamp_ns)
+        return self._kinds[False].least_bytes <= self._room(stamp_ns) + self._spare()
 
     def points(self, stamp_ns: int, dense: bool, wanted: int) -> int:
         """How many of the `wanted` points the frame may carry."""
@@ -100,18 +108,24 @@ class RateControl:
         kind.points += 0.3 * (wanted - kind.points)
         if self.limit_kbps is None:
             return wanted
-        room = (self._room(stamp_ns) - kind.fixed_bytes) / kind.bytes_per_point
-        allowed = min(kind.fewest + self._share(stamp_ns) * (wanted - kind.fewest), room)
+        left = self._room(stamp_ns) - (_LEFT_BY_DENSE * self._kinds[False].least_bytes if dense else 0.0)
+        room = (left - kind.fixed_bytes) / kind.bytes_per_point
+        first = dense and self._dense_frames < self.settings.first_dense_frames
+        fewest, share = (1.0, 1.0) if first else self._shares(stamp_ns)
+        allowed = min(fewest * kind.fewest + share * (wanted - kind.fewest), room)
         return min(wanted, max(int(allowed), self.settings.fewest_points))
 
     def fits(self, stamp_ns: int, payload_bytes: int) -> bool:
         """Does an encoded frame fit the window?"""
-        return self.limit_kbps is None or payload_bytes + self.settings.frame_overhead_bytes <= self._room(stamp_ns)
+        if self.limit_kbps is None:
+            return True
+        return payload_bytes + self.settings.frame_overhead_bytes <= self._room(stamp_ns) + self._spare()
 
     def sent(self, stamp_ns: int, dense: bool, points: int, wanted: int, payload_bytes: int) -> None:
         """Books a frame."""
         size = payload_bytes + self.settings.frame_overhead_bytes
         self.withheld_points += wanted - points
+        self._dense_frames += dense
         self._sent.append((stamp_ns, size))
         self._sum += size
         kind = self._kinds[dense]
@@ -139,14 +153,21 @@ class RateControl:
         left = self.settings.ceiling * window - self._used(stamp_ns)
         return min(left, self.settings.largest_frame * window)
 
-    def _share(self, stamp_ns: int) -> float:
-        """The share of the points beyond the fewest with which frames use the target and even out the window."""
+    def _spare(self) -> float:
+        """Bytes beyond the ceiling that the smallest frames may take rather than be left out."""
+        return self.settings.spare * self._budget() * WINDOW_NS * 1e-9
+
+    def _shares(self, stamp_ns: int) -> tuple[float, float]:
+        """Of the fewest points and of those beyond: what makes frames use the target and evens the window out."""
         s, budget = self.settings, self._budget()
         window_s = WINDOW_NS * 1e-9
         lack = s.target * budget * window_s - self._used(stamp_ns)  # of a whole window; none has passed at a start
         passed_s = min((stamp_ns - self._sent[0][0]) * 1e-9 if self._sent else 0.0, window_s)
         lack -= s.target * budget * (window_s - passed_s)
         rate = s.target * budget + lack / s.horizon_s
+        fixed = sum(kind.per_s * kind.fixed_bytes for kind in self._kinds.values())
         least = sum(kind.per_s * kind.least_bytes for kind in self._kinds.values())
         spare = sum(kind.per_s * kind.spare_bytes for kind in self._kinds.values())
-        return max(rate - least, 0.0) / max(spare, 1.0)
+        if rate < least:
+            return max(rate - fixed, 0.0) / max(least - fixed, 1.0), 0.0
+        return 1.0, (rate - least) / max(spare, 1.0)
