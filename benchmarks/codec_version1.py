@@ -32,7 +32,7 @@ def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], column
     knots = _at_32_times(frame.motion.knots)
     counts, cells = np.bincount(ring, minlength=rings).astype(np.int64), np.zeros((7, n), np.int32)
     cells[COLUMN] = column
-    per_column = column_rate(counts, cells, t_offset_ns)
+    per_column = column_rate(counts, cells, t_offset_ns, 1e8 / columns)
     step_um = round(step_m * 1e6)
     directions = directions_of(columns, beam_elevations_rad, step_um)
     residuals = np.empty((kernels.ROWS, n), np.int32)

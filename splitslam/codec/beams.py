@@ -15,6 +15,7 @@ from splitslam.features import FeatureFrame, FeatureSet, Knots
 from splitslam.motion_table import motion_table
 
 Table = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
+_FASTEST = 4.0  # columns pass no faster than so many turns in a frame
 _SHADES = 17  # of 256 to a step of the intensity
 
 
@@ -46,7 +47,9 @@ def measure(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], colum
     points[CLASS] = order < len(corners)
     points[COLUMN] = column
     points[INTENSITY] = (intensity.astype(np.uint16) + 8) // _SHADES
-    rate, fractions = column_rate(counts, points, t_offset_ns), np.empty(n)
+    offsets_ns = frame.motion.knots.offsets_ns
+    turn_ns = (offsets_ns[-1] - offsets_ns[0]) / columns
+    rate, fractions = column_rate(counts, points, t_offset_ns, turn_ns), np.empty(n)
     if not kernels.follow_times(counts, rate, t_offset_ns, points, False):
         raise ValueError("a time beyond 2 s")
     directions = directions_of(columns, beam_elevations_rad, step_um)
@@ -82,12 +85,21 @@ def place(
     return chosen(is_corner), chosen(~is_corner)
 
 
-def column_rate(counts: NDArray[np.int64], points: NDArray[np.int32], t_offset_ns: NDArray[np.int32]) -> int:
+def column_rate(
+    counts: NDArray[np.int64], points: NDArray[np.int32], t_offset_ns: NDArray[np.int32], turn_ns: float
+) -> int:
+    """ns a column, 1/256. turn_ns: what it is if the frame is one turn, forwards or backwards.
+
+    A few points, all of them beside the place where a scan begins and ends, would say something absurd: it is then the
+    turn, in the direction in which more neighbours are.
+    """
     rates = np.empty(points.shape[1])
     count = kernels.neighbour_rates(counts, points, t_offset_ns, rates)
     if count == 0:
         return 0
     rate = kernels.mean_rate(counts, points, t_offset_ns, float(np.median(rates[:count])))
+    if abs(rate) > _FASTEST * turn_ns:
+        rate = float(np.sign(np.sum(np.sign(rates[:count])))) * turn_ns
     return int(np.clip(round(rate * 256.0), -(2**31) + 1, 2**31 - 1))
 
 

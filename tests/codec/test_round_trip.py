@@ -196,3 +196,21 @@ def test_the_error_is_a_centimetre_on_average_and_less_than_three_at_most():
     error = np.linalg.norm(round_trip(frame).surfs.points_lidar - frame.surfs.points_lidar, axis=1)
     assert error.mean() <= CODEC_MEAN_M
     assert error.max() <= CODEC_MAX_M
+
+
+@pytest.mark.parametrize("few", [2, 3, 10, 50])
+def test_a_few_points_anywhere_and_at_any_time_of_the_scan_are_encoded(few: int):
+    """Two neighbours across the place where a scan begins and ends say that the sensor turns absurdly fast."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        frame = made_frame(seed, corners=few // 2, surfs=few - few // 2, dense=False)
+        if seed % 2:
+            any_time = {
+                name: replace(points, t_offset_ns=rng.integers(0, 100_000_000, len(points)).astype(np.int32))
+                for name, points in (("corners", frame.corners), ("surfs", frame.surfs))
+            }
+            frame = replace(frame, **any_time)
+        payload = codec.encode(frame, ELEVATIONS_RAD, COLUMNS)
+        decoded = codec.decode(payload, 7, frame.stamp_ns, False, ELEVATIONS_RAD)
+        for mine, theirs in ((decoded.corners, frame.corners), (decoded.surfs, frame.surfs)):
+            assert np.abs(mine.t_offset_ns.astype(np.int64) - theirs.t_offset_ns).max(initial=0) <= 50_000
