@@ -20,6 +20,8 @@ from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
 from splitslam.scan import Scan, ScanPacket
 
+NO_IMU_SIGMA_RAD = 0.4  # an Imu node that has no samples says it does not know where down is
+
 
 class EdgePipeline:
     """Image node and Feature node of one sensor. Synchronous, single-threaded, no network."""
@@ -55,7 +57,8 @@ class EdgePipeline:
         # Feature node
         marks = self.image_node.marks(image)
         dense = self.dense.decide(motion.T_prev_lidar)
-        wanted = self._selector.find(image, marks, dense)
+        blind = motion.gravity_sigma_rad >= NO_IMU_SIGMA_RAD
+        wanted = self._selector.find(image, marks, dense, self.settings.features.without_imu if blind else 1.0)
         allowed = self.rate.points(scan.stamp_ns, dense, wanted)
         clock.lap("features")
 

@@ -20,8 +20,9 @@ class FeatureSettings(Model):
     corners_per_sector: int = Field(default=20, ge=1)
     sectors: int = Field(default=6, ge=1)
     surf_leaf_m: float = Field(default=0.4, gt=0)
-    sparse_corners: int = Field(default=100, ge=0)
-    sparse_surfs: int = Field(default=400, ge=0)
+    sparse_corners: int = Field(default=200, ge=0)
+    sparse_surfs: int = Field(default=800, ge=0)
+    without_imu: float = Field(default=2.0, ge=1, description="times as many where no IMU says how the robot moves")
 
 
 class DenseSettings(Model):

@@ -36,8 +36,11 @@ class Selector:
         self._table = np.empty((slots, 4), np.int64)
         self._sums = np.empty((slots, 5))
 
-    def find(self, image: Image, found: FeatureMarks, dense: bool) -> int:
-        """Looks for the features of an image of deskewed points; how many a frame of that kind would carry."""
+    def find(self, image: Image, found: FeatureMarks, dense: bool, times: float = 1.0) -> int:
+        """Looks for the features of an image of deskewed points; how many a frame of that kind would carry.
+
+        times: as many points as usual in a sparse one.
+        """
         s, n = self.settings, len(image)
         picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
         corners = kernels.select_corners(
@@ -47,7 +50,9 @@ class Selector:
             image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._slot_of[:n], kept
         )
         surfs = int(np.count_nonzero(kept))
-        self._wanted = (corners, surfs) if dense else (min(corners, s.sparse_corners), min(surfs, s.sparse_surfs))
+        self._wanted = (corners, surfs)
+        if not dense:
+            self._wanted = (min(corners, round(times * s.sparse_corners)), min(surfs, round(times * s.sparse_surfs)))
         return sum(self._wanted)
 
     def choose(

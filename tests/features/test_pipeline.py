@@ -138,3 +138,17 @@ def test_a_dense_frame_that_the_service_asks_for_is_the_next_one():
     assert steps(policy, np.eye(4), 2) == [True, False]
     policy.wanted = True
     assert steps(policy, np.eye(4), 2) == [True, False]
+
+
+def test_a_robot_that_does_not_know_where_down_is_sends_more_points():
+    class Blind(KnownMotion):
+        def motion_over(self, start_ns: int, end_ns: int):
+            return replace(super().motion_over(start_ns, end_ns), gravity_sigma_rad=0.5)
+
+    sizes = []
+    for motion in (KnownMotion(), Blind()):
+        pipeline = make_pipeline(motion)
+        frames = [pipeline.process(ScanPacket(made_scan(seed))) for seed in range(5)]
+        assert not frames[-1].dense
+        sizes.append(frames[-1].corners + frames[-1].surfs)
+    assert sizes[1] > 1.5 * sizes[0]

@@ -127,3 +127,11 @@ def test_masked_points_are_never_corners():
     corners, _ = chosen(image, found, True)
     assert len(masked) > 100
     assert not masked & {(int(r), int(c)) for r, c in zip(corners.ring, corners.column, strict=True)}
+
+
+def test_without_an_imu_a_sparse_frame_carries_twice_as_many():
+    image, found = seen(made_scan())
+    selector = Selector(FeatureSettings(sparse_corners=50, sparse_surfs=300), 16, 1800)
+    assert [selector.find(image, found, False, times) for times in (1.0, 2.0)] == [350, 700]
+    corners, surfs = selector.choose(image, found, False)
+    assert (len(corners), len(surfs)) == (100, 600)
