@@ -148,6 +148,7 @@ def test_a_robot_that_does_not_know_where_down_is_sends_more_points():
     sizes = []
     for motion in (KnownMotion(), Blind()):
         pipeline = make_pipeline(motion)
+        pipeline.dense = DensePolicy(DenseSettings(distance_m=1e3, angle_rad=1e3))
         frames = [pipeline.process(ScanPacket(made_scan(seed))) for seed in range(5)]
         assert not frames[-1].dense
         sizes.append(frames[-1].corners + frames[-1].surfs)
