@@ -22,7 +22,7 @@ class FeatureSettings(Model):
     surf_leaf_m: float = Field(default=0.4, gt=0)
     sparse_corners: int = Field(default=200, ge=0)
     sparse_surfs: int = Field(default=800, ge=0)
-    without_imu: float = Field(default=2.0, ge=1, description="times as many where no IMU says how the robot moves")
+    without_imu: float = Field(default=3.0, ge=1, description="times as many where no IMU says how the robot moves")
 
 
 class DenseSettings(Model):

@@ -33,8 +33,9 @@ SE3_ROUND_TRIP_RAD = 1e-9
 SE3_ROUND_TRIP_M = 1e-9
 
 # Accuracy promised on the recordings (absolute trajectory error after SE(3) alignment).
-YARD1_ATE_M = 0.03
-YARD1_ONLINE_ATE_M = 0.05
+YARD1_ATE_M = 0.010
+YARD1_ONLINE_ATE_M = 0.015
+YARD1_RPE_1S_M = 0.012
 KITTI_RING16_ATE_M = 0.15
 KITTI_RING16_RPE_1S_M = 0.12
 KITTI_RING64_ATE_M = 0.08
@@ -43,7 +44,14 @@ KITTI_RING64_ATE_M = 0.08
 RESTART_ATE_RATIO = 1.20
 RESTART_ATE_M = 0.002
 
-YARD1_UPLINK_KBPS = 1_500.0
+# All bytes of the uplink at default settings, and what thinner budgets may cost.
+YARD1_UPLINK_KBPS = 250.0
+YARD1_RATIO_TO_RAW = 150.0
+YARD1_RATIO_TO_NATIVE = 28.0
+KITTI_RING16_UPLINK_KBPS = 500.0
+YARD1_BUDGET_ATE_M = {120: 0.02, 70: 0.03}
+BUDGET_OVER = 1.10
+BUDGET_UNDER = 0.70
 # Real time: how much longer than the recording a run by the clock may take.
 REALTIME_SLACK_S = 2.0
 # The negative control: without deskew the trajectory must be at least this many times worse (seen: 10 to 20).

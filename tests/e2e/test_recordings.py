@@ -37,7 +37,11 @@ def test_yard1_meets_every_bar_and_a_second_run_is_identical(yard1, tmp_path):
     assert first.evaluation(truth, "imu.tum")["ate_m"] <= bars.YARD1_ONLINE_ATE_M
     assert first.report["loops"] >= 1
     assert first.report["gnss_factors"] >= 1
-    assert first.report["uplink"]["kbps"] <= bars.YARD1_UPLINK_KBPS
+    assert first.evaluation(truth)["rpe_1s_m"] <= bars.YARD1_RPE_1S_M
+    uplink = first.report["uplink"]
+    assert uplink["kbps"] <= bars.YARD1_UPLINK_KBPS
+    assert uplink["ratio_to_raw"] >= bars.YARD1_RATIO_TO_RAW
+    assert uplink["native_kbps"] / uplink["kbps"] >= bars.YARD1_RATIO_TO_NATIVE
     assert first.report["path_m"] == pytest.approx(96, abs=2)
 
     second = run(tmp_path / "second", yard1)
@@ -53,6 +57,17 @@ def test_yard1_without_gnss_meets_the_same_bars(yard1, tmp_path):
     assert result.evaluation(truth, "online.tum")["ate_m"] <= bars.YARD1_ONLINE_ATE_M
     assert result.report["gnss_factors"] == 0
     assert result.report["loops"] >= 1
+
+
+@pytest.mark.parametrize("kbps", sorted(bars.YARD1_BUDGET_ATE_M))
+def test_yard1_within_a_budget_maps_every_scan(yard1, tmp_path, kbps):
+    result = run(tmp_path / "out", yard1, "--max-kbps", str(kbps), "--disable", "loops,gnss")
+    sent_all_mapped_all(result)
+    uplink = result.report["uplink"]
+    assert bars.BUDGET_UNDER * kbps <= uplink["kbps"] <= bars.BUDGET_OVER * kbps
+    assert uplink["withheld_points"] > 0
+    truth = yard1.with_suffix(".tum")
+    assert result.evaluation(truth)["ate_m"] <= bars.YARD1_BUDGET_ATE_M[kbps]
 
 
 def test_without_deskew_yard1_is_clearly_worse(yard1, tmp_path):
@@ -78,6 +93,7 @@ def test_kitti_16_rings_from_a_moving_start_with_a_10_hz_imu(shared_data, tmp_pa
     evaluation = result.evaluation(recording.with_name("kitti_0005.pseudo.tum"))
     assert evaluation["ate_m"] <= bars.KITTI_RING16_ATE_M
     assert evaluation["rpe_1s_m"] <= bars.KITTI_RING16_RPE_1S_M
+    assert result.report["uplink"]["kbps"] <= bars.KITTI_RING16_UPLINK_KBPS
 
 
 def test_kitti_64_rings(shared_data, tmp_path):
