@@ -21,7 +21,7 @@ _LEFT_BY_DENSE = 6  # of the smallest frames: a dense one leaves them room
 class RateSettings(Model):
     """How the budget is used. Shares are of the budget."""
 
-    target: float = Field(default=0.93, gt=0, le=1, description="mean use while features are withheld")
+    target: float = Field(default=0.95, gt=0, le=1, description="mean use while features are withheld")
     ceiling: float = Field(default=1.0, gt=0, le=1.1, description="largest use of any window")
     spare: float = Field(
         default=0.05, ge=0, le=0.1, description="beyond the ceiling, for frames with the fewest points"
