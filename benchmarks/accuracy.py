@@ -19,9 +19,9 @@ if __package__ in (None, ""):  # run as a file
 
 from benchmarks import tables
 from benchmarks.cells import OURS, SHARPNESS, Limits, Store, compute
+from benchmarks.command import listed, run
 from benchmarks.drives import CLEAN, DRIVES, FAULTS, MADE, RECORDED, Case
 from benchmarks.peers import PEERS, check_peers_installed
-from splitslam.errors import InputError
 
 TABLES = ("odometry", "full", "deskew", "sharpness", "sweep")
 _DESKEW_ON = ("yard1", "campus", "street")
@@ -46,9 +46,9 @@ def accuracy(
     show: Annotated[bool, typer.Option("--show", help="Print what is there, compute nothing.")] = False,
 ) -> None:
     """Compute what is missing and print the tables in Markdown."""
-    wanted = _listed("--only", only, TABLES) or (["sweep"] if sweep else list(TABLES[:-1]))
-    chosen = _listed("--systems", systems, ("ours", *PEERS)) or ["ours", *PEERS]
-    names = _listed("--drives", drives, tuple(DRIVES))
+    wanted = listed("--only", only, TABLES) or (["sweep"] if sweep else list(TABLES[:-1]))
+    chosen = listed("--systems", systems, ("ours", *PEERS)) or ["ours", *PEERS]
+    names = listed("--drives", drives, tuple(DRIVES))
     store = Store(out)
     comparison = _comparison_cases(names or [drive.name for drive in (*RECORDED, *MADE)], 1 if quick else seeds)
     swept = _sweep_cases(names or list(_SWEEP_ON)) if "sweep" in wanted else []
@@ -135,22 +135,5 @@ def _print(wanted: list[str], store: Store, cases: dict[Case, list[Case]], plan:
         print(f"\n### One perturbation at a time, full system, cm\n\n{tables.sweep(store, swept)}")
 
 
-def _listed(option: str, text: str, known: tuple[str, ...]) -> list[str]:
-    parts = [part.strip() for part in text.split(",") if part.strip()]
-    for part in parts:
-        if part not in known:
-            raise InputError(f"{option}: expected some of {', '.join(known)}, found {part!r}")
-    return parts
-
-
-def main() -> None:
-    """Exit code 2 and one line for what the user can mend."""
-    try:
-        app()
-    except InputError as error:
-        print(error, file=sys.stderr)
-        sys.exit(error.exit_code)
-
-
 if __name__ == "__main__":
-    main()
+    run(app)

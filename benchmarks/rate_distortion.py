@@ -20,12 +20,12 @@ if __package__ in (None, ""):  # run as a file
 
 from benchmarks import scoring
 from benchmarks.cells import Cell, Store
+from benchmarks.command import listed, run
 from benchmarks.drives import DRIVES, Case, Files, prepare
 from benchmarks.rate_picture import draw, table
 from benchmarks.wires import LioSamZstd, Ours, ThinnedDraco, Wire
 from edge_agent.settings import FeatureSettings
 from splitslam.bench.lockstep import lockstep
-from splitslam.errors import InputError
 from splitslam.tum import read_tum
 
 DEFAULT_DRIVES = "yard1,campus"
@@ -35,7 +35,7 @@ SYSTEMS: dict[str, dict[str, Callable[[], Wire]]] = {
     "ours": {
         **{f"{kbps} kbit/s": lambda kbps=kbps: Ours(kbps) for kbps in (40, 70, 120)},
         DEFAULT: lambda: Ours(),
-        "three times the points": lambda: Ours(None, FeatureSettings(sparse_corners=300, sparse_surfs=1200)),
+        "twice the points": lambda: Ours(None, FeatureSettings(sparse_corners=400, sparse_surfs=1600)),
         **{f"every {n}th scan": lambda n=n: Ours(None, dense_m=0.0, every=n) for n in (8, 4)},
         "all dense": lambda: Ours(None, dense_m=0.0),
     },
@@ -71,8 +71,8 @@ def rate_distortion(
     show: Annotated[bool, typer.Option("--show", help="Print and draw what is there, compute nothing.")] = False,
 ) -> None:
     """Compute what is missing, print the table in Markdown, draw rate_distortion.png into the output folder."""
-    cases = [Case(DRIVES[name]) for name in _listed("--drives", drives, tuple(DRIVES))]
-    chosen = _listed("--systems", systems, tuple(SYSTEMS))
+    cases = [Case(DRIVES[name]) for name in listed("--drives", drives, tuple(DRIVES))]
+    chosen = listed("--systems", systems, tuple(SYSTEMS))
     store = Store(out)
     for case in [] if show else cases:
         _compute(case, [(s, level) for s in chosen for level in _spread(list(SYSTEMS[s]), levels)], store, max_scans)
@@ -134,22 +134,5 @@ def _spread(levels: list[str], most: int) -> list[str]:
     return [levels[round((len(levels) - 1) * k / max(1, most - 1))] for k in range(most)] if most > 1 else levels[-1:]
 
 
-def _listed(option: str, text: str, known: tuple[str, ...]) -> list[str]:
-    parts = [part.strip() for part in text.split(",") if part.strip()]
-    for part in parts:
-        if part not in known:
-            raise InputError(f"{option}: expected some of {', '.join(known)}, found {part!r}")
-    return parts
-
-
-def main() -> None:
-    """Exit code 2 and one line for what the user can mend."""
-    try:
-        app()
-    except InputError as error:
-        print(error, file=sys.stderr)
-        sys.exit(error.exit_code)
-
-
 if __name__ == "__main__":
-    main()
+    run(app)

@@ -55,8 +55,16 @@ class Wire(ABC):
         """Of the edge."""
         return PipelineSettings(deskew="cpu")
 
+    @abstractmethod
     def __call__(self, seen: Seen) -> FeatureFrame:
         """The frame that arrives."""
+
+
+class CloudWire(Wire):
+    """Clouds of another codec beside the motion of ours."""
+
+    def __call__(self, seen: Seen) -> FeatureFrame:
+        """See Wire."""
         frame = seen.decoded()
         corners, surfs, size = self.clouds(seen)
         empty = _features(np.empty((0, 3), np.float32))
@@ -97,11 +105,8 @@ class Ours(Wire):
     def __call__(self, seen: Seen) -> FeatureFrame:
         return self.sent.add(len(seen.frame.payload), seen.decoded())
 
-    def clouds(self, seen: Seen) -> tuple[clouds.Points, clouds.Points, int]:
-        raise NotImplementedError
 
-
-class LioSamZstd(Wire):
+class LioSamZstd(CloudWire):
     """LIO-SAM's corners and surfs of every scan in steps of 1 cm, Morton order and zstd."""
 
     def __init__(self, corners_per_sector: int = 20, leaf_m: float = 0.4, every: int = 1) -> None:
@@ -122,7 +127,7 @@ class LioSamZstd(Wire):
         return clouds.decode_morton(corners), clouds.decode_morton(surfs), len(corners) + len(surfs)
 
 
-class ThinnedDraco(Wire):
+class ThinnedDraco(CloudWire):
     """The deskewed scan thinned to voxels, in steps of 1 cm, by Draco; each point is a surf, as none says it is not."""
 
     def __init__(self, voxel_m: float, every: int = 1) -> None:

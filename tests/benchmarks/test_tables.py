@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks import accuracy, tables
 from benchmarks.cells import Limits, Store
+from benchmarks.command import listed
 from benchmarks.drives import CLEAN, DRIVES, FAULTS, Case
 from benchmarks.peers import PEERS
 from splitslam.errors import InputError
@@ -107,4 +108,4 @@ def test_recordings_are_run_once_and_made_drives_with_every_seed_clean_and_with_
 
 def test_what_is_not_known_is_one_line():
     with pytest.raises(InputError, match=r"--drives: expected some of .*, found 'yrad1'"):
-        accuracy._listed("--drives", "yard1,yrad1", tuple(DRIVES))
+        listed("--drives", "yard1,yrad1", tuple(DRIVES))
