@@ -100,3 +100,15 @@ def test_while_old_frames_wait_new_ones_leave_them_room():
     control.backlog = True
     run = drive(control, 300, 10)
     assert run.windows().max() <= 0.75 * 100 * 125 * 5
+
+
+def test_the_map_begins_with_whole_frames_however_tight_the_budget():
+    """Thinned ones map nothing that later scans could be placed by, and the robot is lost."""
+    control = RateControl(RateSettings(), 120)
+    carried = []
+    for k in range(6):
+        points = control.points(k * SCAN_NS, True, 5000)
+        control.sent(k * SCAN_NS, True, points, 5000, 160 + 6000 * points // 5000)
+        carried.append(points)
+    assert carried[:3] == [5000] * 3
+    assert max(carried[3:]) < 2500
