@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from benchmarks import _codec_version1_kernels as kernels
 from splitslam import _motion_kernels, se3
-from splitslam.codec import _beam_kernels, version1, version1_motion
+from splitslam.codec import version1, version1_motion
 from splitslam.codec._point_kernels import COLUMN
-from splitslam.codec.beams import column_rate, directions_of, table_of
+from splitslam.codec.beams import column_rate, directions_of, merged, table_of
 from splitslam.features import FeatureFrame, Knots, Motion
 
 _LARGEST_HALF = 65_504.0
@@ -20,15 +20,9 @@ _LARGEST_HALF = 65_504.0
 
 def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], columns: int, step_m: float) -> bytes:
     """The frame's payload in version 1. Its knots are sampled at 32 times, which is all that version 1 had."""
-    corners, surfs = frame.corners, frame.surfs
-    n, rings = len(corners) + len(surfs), len(beam_elevations_rad)
-    order = np.empty(n, np.int32)
-    if not _beam_kernels.merge(corners.ring, corners.column, surfs.ring, surfs.column, order):
-        raise ValueError("features are not sorted by ring and column")
-    points, ring, column, t_offset_ns, intensity = (
-        np.concatenate([getattr(corners, name), getattr(surfs, name)])[order]
-        for name in ("points_lidar", "ring", "column", "t_offset_ns", "intensity")
-    )
+    rings = len(beam_elevations_rad)
+    order, (points, ring, column, t_offset_ns, intensity) = merged(frame)
+    n = len(order)
     knots = _at_32_times(frame.motion.knots)
     counts, cells = np.bincount(ring, minlength=rings).astype(np.int64), np.zeros((7, n), np.int32)
     cells[COLUMN] = column
@@ -49,7 +43,7 @@ def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], column
         bits = kernels.split(residuals[row], signed, symbols[row], raw, bits) if bits >= 0 else bits
     if bits < 0:
         raise ValueError("a time, a ring's number of points or a knot is too large")
-    classes = (order < len(corners)) * np.uint8(16) | (intensity.astype(np.uint16) + 8) // 17
+    classes = (order < len(frame.corners)) * np.uint8(16) | (intensity.astype(np.uint16) + 8) // 17
     planes = [_compressed(plane.astype(np.uint8, copy=False).tobytes()) for plane in (first, classes, *symbols)]
     flags = version1._VELOCITY_KNOWN * frame.motion.velocity_known | version1._UNIFORM_KNOTS * uniform
     tail = raw[: (bits + 7) // 8].tobytes()

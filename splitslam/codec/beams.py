@@ -31,20 +31,14 @@ class Beams:
 
 def measure(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], columns: int, step_um: int) -> Beams:
     """A frame's points in steps along and across their beams; ValueError for one that breaks FeatureSet's contract."""
-    corners, surfs = frame.corners, frame.surfs
-    n, rings = len(corners) + len(surfs), len(beam_elevations_rad)
-    order = np.empty(n, np.int32)
-    if not kernels.merge(corners.ring, corners.column, surfs.ring, surfs.column, order):
-        raise ValueError("features are not sorted by ring and column")
-    points_lidar, ring, column, t_offset_ns, intensity = (
-        np.concatenate([getattr(corners, name), getattr(surfs, name)])[order]
-        for name in ("points_lidar", "ring", "column", "t_offset_ns", "intensity")
-    )
+    rings = len(beam_elevations_rad)
+    order, (points_lidar, ring, column, t_offset_ns, intensity) = merged(frame)
+    n = len(order)
     if n and (int(ring[-1]) >= rings or int(column.max()) >= columns):
         raise ValueError(f"ring or column outside of {rings} x {columns}")
     counts = np.bincount(ring, minlength=rings).astype(np.int64)
     points = np.zeros((7, n), np.int32)
-    points[CLASS] = order < len(corners)
+    points[CLASS] = order < len(frame.corners)
     points[COLUMN] = column
     points[INTENSITY] = (intensity.astype(np.uint16) + 8) // _SHADES
     offsets_ns = frame.motion.knots.offsets_ns
@@ -57,6 +51,19 @@ def measure(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], colum
     if not kernels.to_steps(points_lidar, counts, t_offset_ns, table, directions, points, fractions):
         raise ValueError("a point is not finite or too far away")
     return Beams(counts, points, rate, fractions)
+
+
+def merged(frame: FeatureFrame) -> tuple[NDArray[np.int32], tuple[NDArray, ...]]:
+    """Corners and surfs as one, by ring and column: index of each, surfs after corners, and all five columns.
+
+    ValueError where they are not sorted.
+    """
+    corners, surfs = frame.corners, frame.surfs
+    order = np.empty(len(corners) + len(surfs), np.int32)
+    if not kernels.merge(corners.ring, corners.column, surfs.ring, surfs.column, order):
+        raise ValueError("features are not sorted by ring and column")
+    names = ("points_lidar", "ring", "column", "t_offset_ns", "intensity")
+    return order, tuple(np.concatenate([getattr(corners, name), getattr(surfs, name)])[order] for name in names)
 
 
 def place(
