@@ -59,7 +59,10 @@ class ServiceConfig(Model):
     """`map-service serve`."""
 
     listen: str = "127.0.0.1:50051"
-    store: str = Field(default="sqlite:///splitslam-map.db", description="SQLAlchemy URL")
+    store: str = Field(
+        default="sqlite:///splitslam-map.db", description="sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+    )
+    store_wait_s: float = Field(default=30.0, ge=0, description="how long a start waits for a store that is away")
     workers: int = Field(default=0, ge=0, le=256, description="worker processes; 0: one a core, less one")
     loop_workers: int = Field(default=1, ge=1, le=64, description="processes a worker verifies loops with")
     drain_s: float = Field(default=8.0, gt=0, le=9.0, description="longest graceful drain; the process is gone in 10 s")
