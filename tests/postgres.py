@@ -24,7 +24,7 @@ _GONE_S = 10.0
 
 
 class PostgresServer:
-    """One server on a Unix socket in a folder of its own below /tmp; a database for each test."""
+    """One server on a Unix socket in a folder of its own below /tmp; an empty database for each test."""
 
     def __init__(self) -> None:
         with warnings.catch_warnings():
@@ -36,7 +36,6 @@ class PostgresServer:
         wheel.ensure_pgdata_inited()  # as a user of its own where we are root: PostgreSQL does not run as root
         self._user: str | None = wheel.system_user
         self._command = [str(wheel.bin_path / "postgres"), "-D", str(self._folder), "-k", str(self._folder), "-h", ""]
-        self._databases = 0
         self.start()
 
     def start(self) -> None:
@@ -57,12 +56,15 @@ class PostgresServer:
         """As an operator writes it."""
         return f"postgresql://postgres@/{database}?host={self._folder}"
 
-    def new_database(self) -> str:
-        """URL of an empty one."""
-        self._databases += 1
-        name = f"test{self._databases}"
+    def empty_database(self, name: str = "test") -> str:
+        """URL of a database without tables. One that is emptied costs less than a new one: 300 files to sync."""
         with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
-            connection.execute(f"CREATE DATABASE {name}".encode())
+            if connection.execute("SELECT FROM pg_database WHERE datname = %s", [name]).fetchone() is None:
+                connection.execute(f"CREATE DATABASE {name}".encode())
+                return self.url(name)
+            connection.execute("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = %s", [name])
+        with psycopg.connect(self.url(name)) as connection:
+            connection.execute("DROP SCHEMA public CASCADE").execute("CREATE SCHEMA public")
         return self.url(name)
 
     def kill(self) -> None:

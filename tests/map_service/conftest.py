@@ -25,7 +25,7 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Of an empty store: a test that takes it runs on both engines."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path}/map.db"
-    return request.getfixturevalue("postgres").new_database()
+    return request.getfixturevalue("postgres").empty_database()
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from tests.postgres import PostgresServer
 
 @pytest.fixture
 def store(postgres: PostgresServer) -> Iterator[Store]:
-    opened = Store(postgres.new_database())
+    opened = Store(postgres.empty_database())
     yield opened
     opened.close()
 
@@ -94,12 +94,12 @@ def test_a_server_that_does_not_sync_its_commits_is_refused(
 ) -> None:
     monkeypatch.setitem(patience.REQUIRED, "fsync", "off")
     with pytest.raises(InputError, match="fsync=on: expected off"):
-        Store(postgres.new_database())
+        Store(postgres.empty_database())
 
 
 @pytest.mark.parametrize("scheme", ["postgres", "postgresql", "postgresql+psycopg"])
 def test_a_url_is_taken_as_operators_write_it(postgres: PostgresServer, scheme: str) -> None:
-    store = Store(scheme + "://" + postgres.new_database().partition("://")[2])
+    store = Store(scheme + "://" + postgres.empty_database().partition("://")[2])
     assert store.engine.dialect.driver == "psycopg"
     store.close()
 
@@ -111,7 +111,7 @@ def test_a_database_that_is_not_there_is_one_line_and_not_waited_for(postgres: P
 
 
 def test_a_server_that_comes_late_is_waited_for(postgres: PostgresServer) -> None:
-    url = postgres.new_database()
+    url = postgres.empty_database()
     postgres.kill()
     try:
         with pytest.raises(InputError, match="cannot be opened"):
@@ -122,7 +122,7 @@ def test_a_server_that_comes_late_is_waited_for(postgres: PostgresServer) -> Non
 
 
 def test_many_openings_at_once_make_one_schema(postgres: PostgresServer) -> None:
-    url = postgres.new_database()
+    url = postgres.empty_database()
     with ThreadPoolExecutor(8) as threads:
         stores = list(threads.map(Store, [url] * 8))
     assert stores[0].open_session(Opening("r/2", "r", "2", "", "", "")).epoch == 1
