@@ -48,11 +48,14 @@ class AdviceConfig(Model):
 
 
 class CommitConfig(Model):
-    """When a session is committed besides at each keyframe."""
+    """When a session is committed besides at each keyframe, and what happens while the store takes none."""
 
     every_s: float = Field(default=1.0, gt=0)
     every_frames: int = Field(default=20, ge=1)
-    retry_s: float = Field(default=5.0, ge=0, description="how long a failing store is tried before streams are ended")
+    backlog_frames: int = Field(
+        default=2000, ge=100, description="frames applied and not yet durable; at so many a session waits for its store"
+    )
+    drain_s: float = Field(default=5.0, ge=0, description="how long a failing store is tried when the service ends")
 
 
 class ServiceConfig(Model):

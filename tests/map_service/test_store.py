@@ -215,17 +215,25 @@ def test_a_failing_store_is_tried_again_and_the_order_is_kept() -> None:
     assert log.durable_seq == 5
 
 
-def test_after_a_commit_that_failed_for_good_no_later_one_is_written() -> None:
-    store = FailingStore(failures=1)
-    log = Committer(store, CommitConfig(retry_s=0), Tally()).log(1, 1, 0)  # type: ignore[arg-type]
+def test_a_store_that_stays_away_is_tried_until_the_service_ends_and_then_nothing_later_is_written() -> None:
+    store = FailingStore(failures=10**9)
+    committer = Committer(store, CommitConfig(), Tally())  # type: ignore[arg-type]
+    log = committer.log(1, 1, 0)
     log.put(entry(0, 3))
     log.put(entry(3, 5))
+    with pytest.raises(StoreError, match="still being tried"):
+        log.flush(0.2)
+    assert committer.away
+    assert not log.broken
+    committer.give_up_after(0)
     with pytest.raises(StoreError, match="down"):
         log.flush()
+    store.failures = 0
     with pytest.raises(StoreError, match="earlier"):
         log.flush()
     assert store.written == []
     assert log.durable_seq == 0
+    assert not committer.away
 
 
 @pytest.mark.parametrize(
