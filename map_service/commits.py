@@ -130,7 +130,7 @@ class CommitLog:
             self.durable_seq = seq
 
     def flush(self, timeout_s: float = FLUSH_S) -> None:
-        """Wait for everything handed over. Raises as `collect`, and StoreError, with nothing lost, when it takes long."""
+        """Wait for everything handed over. Raises as `collect`; StoreError, with nothing lost, when it takes long."""
         until_s = time.monotonic() + timeout_s
         while self._pending:
             seq, future = self._pending[0]

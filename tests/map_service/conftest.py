@@ -10,12 +10,12 @@ import pytest
 
 from map_service.store import Store
 from tests.map_service.harness import Operator, Robot7, Service, hello, new_run
-from tests.postgres import PostgresServer, postgres_server
+from tests.postgres import DatabaseServer, database_server
 
 
 @pytest.fixture(scope="session")
-def postgres() -> Iterator[PostgresServer]:
-    server = postgres_server()
+def postgres() -> Iterator[DatabaseServer]:
+    server = database_server()
     yield server
     server.close()
 

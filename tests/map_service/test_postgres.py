@@ -15,11 +15,11 @@ from map_service import schema
 from map_service.store import Opening, Store, StoreError
 from splitslam.errors import InputError
 from tests.map_service.entries import OPENING, entry
-from tests.postgres import PostgresServer
+from tests.postgres import DatabaseServer
 
 
 @pytest.fixture
-def store(postgres: PostgresServer) -> Iterator[Store]:
+def store(postgres: DatabaseServer) -> Iterator[Store]:
     opened = Store(postgres.empty_database())
     yield opened
     opened.close()
@@ -31,7 +31,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_server_that_was_killed_is_a_store_error_and_serves_again_when_it_is_back(
-    postgres: PostgresServer, store: Store
+    postgres: DatabaseServer, store: Store
 ) -> None:
     opened = store.open_session(OPENING)
     store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
@@ -47,7 +47,7 @@ def test_a_server_that_was_killed_is_a_store_error_and_serves_again_when_it_is_b
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_frozen_server_hangs_nobody(postgres: PostgresServer, store: Store) -> None:
+def test_a_frozen_server_hangs_nobody(postgres: DatabaseServer, store: Store) -> None:
     opened = store.open_session(OPENING)
     with postgres.frozen():
         start_s = time.monotonic()
@@ -90,7 +90,7 @@ def test_what_may_pass_is_told_from_what_is_wrong(store: Store, sqlstate: str, r
 
 
 def test_a_server_that_does_not_sync_its_commits_is_refused(
-    postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch
+    postgres: DatabaseServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(patience.REQUIRED, "fsync", "off")
     with pytest.raises(InputError, match="fsync=on: expected off"):
@@ -98,19 +98,19 @@ def test_a_server_that_does_not_sync_its_commits_is_refused(
 
 
 @pytest.mark.parametrize("scheme", ["postgres", "postgresql", "postgresql+psycopg"])
-def test_a_url_is_taken_as_operators_write_it(postgres: PostgresServer, scheme: str) -> None:
+def test_a_url_is_taken_as_operators_write_it(postgres: DatabaseServer, scheme: str) -> None:
     store = Store(scheme + "://" + postgres.empty_database().partition("://")[2])
     assert store.engine.dialect.driver == "psycopg"
     store.close()
 
 
-def test_a_database_that_is_not_there_is_one_line_and_not_waited_for(postgres: PostgresServer) -> None:
+def test_a_database_that_is_not_there_is_one_line_and_not_waited_for(postgres: DatabaseServer) -> None:
     with pytest.raises(InputError, match='database "nowhere" does not exist') as error:
-        Store(postgres.url("nowhere"), patience_s=60)
+        Store(postgres.url_of("nowhere"), patience_s=60)
     assert "\n" not in str(error.value)
 
 
-def test_a_server_that_comes_late_is_waited_for(postgres: PostgresServer) -> None:
+def test_a_server_that_comes_late_is_waited_for(postgres: DatabaseServer) -> None:
     url = postgres.empty_database()
     postgres.kill()
     try:
@@ -121,7 +121,7 @@ def test_a_server_that_comes_late_is_waited_for(postgres: PostgresServer) -> Non
     Store(url, patience_s=30).close()
 
 
-def test_many_openings_at_once_make_one_schema(postgres: PostgresServer) -> None:
+def test_many_openings_at_once_make_one_schema(postgres: DatabaseServer) -> None:
     url = postgres.empty_database()
     with ThreadPoolExecutor(8) as threads:
         stores = list(threads.map(Store, [url] * 8))
