@@ -1,15 +1,11 @@
-"""Tables of the store and how its engine is opened: SQLite embedded, PostgreSQL when there are replicas."""
+"""Tables of the store as this version makes them; map_service/migrations.py says what came when."""
 
 from __future__ import annotations
-
-import sqlite3
-from pathlib import Path
 
 from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
-    Engine,
     Float,
     ForeignKey,
     Index,
@@ -19,25 +15,14 @@ from sqlalchemy import (
     String,
     Table,
     Text,
-    create_engine,
-    event,
-    insert,
-    inspect,
-    select,
 )
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
-
-from splitslam.errors import InputError
-
-SCHEMA_VERSION = 1
-BUSY_TIMEOUT_MS = 5000
 
 metadata = MetaData()
 _row_id = BigInteger().with_variant(Integer, "sqlite")  # only INTEGER is an alias of SQLite's rowid
 
 
-def _session_key() -> Column:
-    return Column("session", _row_id, ForeignKey("sessions.id"), primary_key=True)
+def _session_key(ondelete: str | None = None) -> Column:
+    return Column("session", _row_id, ForeignKey("sessions.id", ondelete=ondelete), primary_key=True)
 
 
 meta = Table("meta", metadata, Column("key", String(64), primary_key=True), Column("value", Text, nullable=False))
@@ -67,6 +52,7 @@ sessions = Table(
     Column("bytes", BigInteger, nullable=False),
     Column("tracker", LargeBinary, nullable=False),
     Column("statistics", Text, nullable=False),
+    Column("finished_s", Float),  # null: not finished, or by a service that did not know it
     Index("sessions_by_site", "site_id"),
     sqlite_autoincrement=True,
 )
@@ -114,67 +100,22 @@ factors = Table(
     Column("payload", LargeBinary, nullable=False),
 )
 
+# Sequence numbers that the robot gave up and said so: the frame after the hole and the one before it.
+holes = Table(
+    "holes",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("seq", BigInteger, primary_key=True),
+    Column("follows_seq", BigInteger, nullable=False),
+)
 
-def open_engine(url: str) -> Engine:
-    """The engine of a store URL, its schema made or checked. Raises InputError naming the URL and what is wrong."""
-    try:
-        engine = create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
-    except (ArgumentError, NoSuchModuleError, ImportError, ValueError) as error:
-        raise InputError(
-            f"store: {_shown(url)}: expected sqlite:///FILE or postgresql+psycopg://..., {error}"
-        ) from error
-    if engine.dialect.name == "sqlite":
-        _check_sqlite_path(engine.url.database, url)
-        event.listen(engine, "connect", _configure_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
-    try:
-        _make_or_check(engine)
-    except DBAPIError as error:
-        engine.dispose()
-        raise InputError(f"store: {_shown(url)}: cannot be opened: {error.orig}") from error
-    return engine
+# What loop closure knows keyframes by (map_service/places.py). Made again from the clouds it would hold up a restart.
+places = Table(
+    "places",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("keyframe", Integer, primary_key=True),
+    Column("descriptor", LargeBinary, nullable=False),
+)
 
-
-def _shown(url: str) -> str:
-    head, separator, tail = url.rpartition("@")  # no password in a log line
-    return f"{head.split('://')[0]}://...@{tail}" if separator else url
-
-
-def _check_sqlite_path(database: str | None, url: str) -> None:
-    if not database or database == ":memory:":
-        raise InputError(f"store: {url}: expected sqlite:///FILE; several processes share the store")
-    if not Path(database).resolve().parent.is_dir():
-        raise InputError(f"store: {url}: no directory {Path(database).resolve().parent}")
-
-
-def _configure_sqlite(connection: sqlite3.Connection, _record: object) -> None:
-    connection.isolation_level = None  # transactions begin in _begin_sqlite, never behind our back
-    cursor = connection.cursor()
-    for pragma in (
-        f"busy_timeout={BUSY_TIMEOUT_MS}",
-        "journal_mode=WAL",
-        "synchronous=FULL",  # durable_seq must not lie after a power cut
-        "foreign_keys=ON",
-    ):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
-
-
-def _begin_sqlite(connection) -> None:
-    # A writer takes the lock at once: upgrading a read lock later fails without waiting.
-    write = connection.get_execution_options().get("write", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
-
-
-def _make_or_check(engine: Engine) -> None:
-    try:
-        with engine.execution_options(write=True).begin() as connection:
-            if not inspect(connection).has_table("meta"):
-                metadata.create_all(connection)
-                connection.execute(insert(meta).values(key="schema_version", value=str(SCHEMA_VERSION)))
-    except IntegrityError:
-        pass  # another replica made it in the same moment
-    with engine.connect() as connection:
-        found = connection.execute(select(meta.c.value).where(meta.c.key == "schema_version")).scalar()
-    if found != str(SCHEMA_VERSION):
-        raise InputError(f"store: schema version {found}: this service reads version {SCHEMA_VERSION}")
+SESSION_TABLES = (frames, clouds, keyframes, factors, holes, places)  # all that refers to a session

@@ -54,6 +54,8 @@ class Session:
         self.touched_s = time.monotonic()
         self.state = State.INITIALISING
         self.accounts = accounts
+        self.finishing = False  # Bye was said, its commit is under way
+        self.held: deque[pb.StreamRequest] = deque()  # what waits until the store has taken more of what is applied
         self._engine, self._store, self._tally = engine, store, tally
         self._answers: OrderedDict[int, pb.Odometry] = OrderedDict()
         self._poses: deque[types_pb.StampedPose] = deque(maxlen=WELCOME_POSES)
@@ -61,6 +63,7 @@ class Session:
         self._last_stamp_ns = 0
         self._new_T_map_odom: dict[int, np.ndarray] = {}
         self._new_rejected: list[tuple[int, int, str]] = []
+        self._new_holes: list[tuple[int, int]] = []
         self._tracker = b""
         self._pipeline = self._build()
 
@@ -118,6 +121,7 @@ class Session:
         else:
             if missing := frame.seq - self.log.applied_seq - 1:
                 self._tally.count("frames", "missing", by=missing)
+                self._new_holes.append((frame.seq, self.log.applied_seq))
             with self.accounts.timed():
                 answer = self._map_or_reject(frame, poisoned)
             self.log.applied_seq = frame.seq
@@ -201,12 +205,12 @@ class Session:
             self.log.put(self._compose(self.accounts.text_if_due(self._pipeline), finished=False))
 
     def finish(self) -> None:
-        """The run is over: final optimisation and commit; the session is read-only afterwards. Raises as `flush`."""
+        """The run is over: final optimisation, and a commit after which the session is read-only."""
         if self._tracker or self._new_T_map_odom:
             self._pipeline.finish()
         statistics = self.accounts.text(self._pipeline)
         self.log.put(self._compose(statistics, finished=True))
-        self.log.flush()
+        self.finishing = True
 
     def _compose(self, statistics: str, *, finished: bool) -> SessionCommit:
         previous, last = self.log.taken_seq, self.log.applied_seq
@@ -216,6 +220,6 @@ class Session:
             self._tracker = commit.tracker
         else:
             commit = Commit(previous, last, [], [], [], [], self._tracker)
-        entry = SessionCommit(commit, self._new_T_map_odom, self._new_rejected, statistics, finished)
-        self._new_T_map_odom, self._new_rejected = {}, []
+        entry = SessionCommit(commit, self._new_T_map_odom, self._new_rejected, self._new_holes, statistics, finished)
+        self._new_T_map_odom, self._new_rejected, self._new_holes = {}, [], []
         return entry

@@ -6,17 +6,22 @@ The epoch is what makes one owner: opening a stream adds one, and a commit by an
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from sqlalchemy import Connection, Engine, insert, select, update
-from sqlalchemy.exc import DBAPIError, IntegrityError
+from sqlalchemy.exc import IntegrityError
 
 from map_service import schema
+from map_service.database import StoreError, open_engine, reading, store_errors
 from map_service.rows import SessionCommit, insert_rows, unpack_pose
-from map_service.types import FactorRecord, FrameRecord, KeyframeRecord, Snapshot
+from map_service.types import FactorRecord, KeyframeRecord, Snapshot
+
+_CLOUDS_AT_ONCE = 256
+_RACES = 8  # lost one after the other, when a session is opened by many
 
 
 class FencedError(Exception):
@@ -25,10 +30,6 @@ class FencedError(Exception):
 
 class FinishedError(Exception):
     """The session has ended and is read-only."""
-
-
-class StoreError(Exception):
-    """The store does not answer or refused the write; it may work later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,39 +69,39 @@ class StoredAnswer:
 class Store:
     """One engine in one process. Every method raises StoreError when the database fails."""
 
-    def __init__(self, url: str) -> None:
-        self.engine: Engine = schema.open_engine(url)
+    def __init__(self, url: str, patience_s: float = 0.0) -> None:
+        """Raises InputError; patience_s: how long to wait for a database that does not answer yet."""
+        self.engine: Engine = open_engine(url, patience_s)
         self._writer = self.engine.execution_options(write=True)
+        self._reader = reading(self.engine)
 
     def close(self) -> None:
         self.engine.dispose()
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        try:
-            with self.engine.connect() as connection:
-                yield connection
-        except DBAPIError as error:
-            raise StoreError(str(error.orig)) from error
+        """A transaction that sees one state of the store throughout."""
+        with store_errors(), self._reader.connect() as connection:
+            yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        try:
-            with self._writer.begin() as connection:
-                yield connection
-        except IntegrityError:
-            raise
-        except DBAPIError as error:
-            raise StoreError(str(error.orig)) from error
+        with store_errors(), self._writer.begin() as connection:
+            yield connection
 
     def open_session(self, opening: Opening) -> OpenedSession:
         """Take the session over: its epoch grows by one. Raises FinishedError for one that has ended."""
-        try:
-            return self._open_session(opening)
-        except IntegrityError:  # another owner inserted it in the same moment: now it is there to be updated
-            return self._open_session(opening)
+        for _ in range(_RACES):
+            try:
+                opened = self._open_session(opening)
+            except IntegrityError:  # another owner inserted it in the same moment: now it is there to be updated
+                continue
+            if opened is not None:
+                return opened
+        raise StoreError(f"{opening.session_id} is opened and deleted too often at once")
 
-    def _open_session(self, opening: Opening) -> OpenedSession:
+    def _open_session(self, opening: Opening) -> OpenedSession | None:
+        """None: another owner inserted it between two looks."""
         t = schema.sessions
         with self.writing() as connection:
             taken = connection.execute(
@@ -109,12 +110,14 @@ class Store:
                 .values(epoch=t.c.epoch + 1)
             )
             row = connection.execute(
-                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics).where(t.c.session_id == opening.session_id)
+                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics, t.c.finished).where(
+                    t.c.session_id == opening.session_id
+                )
             ).first()
-            if taken.rowcount == 1 and row is not None:
-                return OpenedSession(*row)
             if row is not None:
-                raise FinishedError(opening.session_id)
+                if row.finished:
+                    raise FinishedError(opening.session_id)
+                return OpenedSession(*row[:4]) if taken.rowcount == 1 else None
             key = connection.execute(insert(t).values(**_new_session(opening))).inserted_primary_key
             assert key is not None
             return OpenedSession(key[0], 1, 0, "")
@@ -143,6 +146,8 @@ class Store:
             "bytes": t.c.bytes + entry.bytes,
             "tracker": commit.tracker,
         }
+        if entry.finished:
+            values["finished_s"] = time.time()
         if entry.statistics:
             values["statistics"] = entry.statistics
         if stamps:
@@ -162,45 +167,45 @@ class Store:
         raise FencedError(f"commit of epoch {epoch} after seq {commit.previous_seq}: the store has {found}")
 
     def load(self, key: int) -> Snapshot:
-        """Everything MapPipeline.restore needs."""
-        k, c = schema.keyframes, schema.clouds
+        """Everything MapPipeline.restore needs, but for the clouds: those it fetches as it needs them."""
+        s, k, f, p = schema.sessions, schema.keyframes, schema.factors, schema.places
         with self.reading() as connection:
-            last_seq, tracker = connection.execute(
-                select(schema.sessions.c.last_seq, schema.sessions.c.tracker).where(schema.sessions.c.id == key)
-            ).one()
+            query = select(s.c.last_seq, s.c.tracker, s.c.frames).where(s.c.id == key)
+            last_seq, tracker, mapped = connection.execute(query).one()
             keyframes = connection.execute(
-                select(k.c.keyframe, k.c.seq, k.c.stamp_ns, k.c.pose_map_lidar, c.c.cloud)
-                .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
+                select(k.c.keyframe, k.c.seq, k.c.stamp_ns, k.c.pose_map_lidar)
                 .where(k.c.session == key)
                 .order_by(k.c.keyframe)
             ).all()
             factors = connection.execute(
-                select(schema.factors.c.factor, schema.factors.c.kind, schema.factors.c.payload)
-                .where(schema.factors.c.session == key)
-                .order_by(schema.factors.c.factor)
+                select(f.c.factor, f.c.kind, f.c.payload).where(f.c.session == key).order_by(f.c.factor)
             ).all()
-            frames = connection.execute(
-                select(schema.frames)
-                .where(schema.frames.c.session == key, schema.frames.c.rejected == "")
-                .order_by(schema.frames.c.seq)
+            places = connection.execute(
+                select(p.c.keyframe, p.c.descriptor).where(p.c.session == key).order_by(p.c.keyframe)
             ).all()
         return Snapshot(
             last_seq=last_seq,
-            keyframes=[KeyframeRecord(i, seq, ns, unpack_pose(pose), cloud) for i, seq, ns, pose, cloud in keyframes],
+            keyframes=[KeyframeRecord(i, seq, ns, unpack_pose(pose), None) for i, seq, ns, pose in keyframes],
             factors=[FactorRecord(*row) for row in factors],
             tracker=tracker,
-            frames=[
-                FrameRecord(
-                    row.seq,
-                    row.stamp_ns,
-                    row.keyframe,
-                    unpack_pose(row.pose_keyframe_lidar),
-                    unpack_pose(row.online_map_lidar),
-                    row.state,
-                )
-                for row in frames
-            ],
+            mapped=mapped,
+            # up to the first that is missing: a service of the version before wrote none
+            places=[descriptor for count, (i, descriptor) in enumerate(places) if i == count],
+            fetch_clouds=partial(self.clouds, key),
         )
+
+    def clouds(self, key: int, keyframes: Sequence[int]) -> dict[int, bytes]:
+        """Their clouds. Raises StoreError also when one is not there: the session was deleted."""
+        c = schema.clouds
+        found: dict[int, bytes] = {}
+        with self.reading() as connection:
+            for first in range(0, len(keyframes), _CLOUDS_AT_ONCE):
+                some = keyframes[first : first + _CLOUDS_AT_ONCE]
+                query = select(c.c.keyframe, c.c.cloud).where(c.c.session == key, c.c.keyframe.in_(some))
+                found.update((row.keyframe, row.cloud) for row in connection.execute(query))
+        if missing := set(keyframes) - set(found):
+            raise StoreError(f"no cloud of keyframe {min(missing)}")
+        return found
 
     def answers(self, key: int, *, last: int = 0, seq: int = 0) -> list[StoredAnswer]:
         """The newest `last` answers, or the one of frame `seq`; in seq order."""
