@@ -123,10 +123,21 @@ class SegmentLog:
         self._write_record(head, pack(head, body))
 
     def _write_record(self, head: Head, data: bytes) -> None:
+        try:
+            self._try_to_write(head, data)
+        except OSError:
+            useless = [segment for segment in self._segments.values() if not segment.seqs]
+            if not useless:
+                raise
+            for segment in useless:  # the file that says how far the run has come may be what fills the disk
+                self._delete(segment)
+            self._try_to_write(head, data)
+
+    def _try_to_write(self, head: Head, data: bytes) -> None:
         segment = self._segment_for(len(data))
         try:
             if (written := self._write(self._fd, data)) != len(data):
-                raise OSError(errno.ENOSPC, f"only {written} of {len(data)} bytes written")
+                raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)} ({written} of {len(data)} bytes written)")
         except OSError:
             self._abandon(segment)
             raise
@@ -225,6 +236,11 @@ class SegmentLog:
             return
         if segment.whole and not any(s.path > segment.path and s.whole for s in self._segments.values()):
             return
+        self._delete(segment)
+
+    def _delete(self, segment: _Segment) -> None:
+        if segment is self._active:
+            self._swap(-1, None)
         segment.path.unlink(missing_ok=True)
         del self._segments[segment.path]
         self.bytes -= segment.whole

@@ -151,9 +151,13 @@ class Spool:
 
     def _keep_synced(self) -> None:
         while not self._closing.wait(_SYNC_EVERY_S):
-            oldest_s = self._oldest_s
-            if oldest_s is not None and time.monotonic() - oldest_s > _SYNC_OLDER_S:
-                self.sync()
+            self.sync_if_old()
+
+    def sync_if_old(self) -> None:
+        """While frames become durable at the service within seconds, the disk's own medium is left in peace."""
+        oldest_s = self._oldest_s
+        if oldest_s is not None and time.monotonic() - oldest_s > _SYNC_OLDER_S:
+            self.sync()
 
     def sync(self) -> None:
         """Everything here survives a power cut."""
