@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -103,7 +104,7 @@ def test_a_full_spool_gives_up_the_oldest_sparse_frames_first_and_a_second_agent
         assert again.rewind(0, 0)
         frames = sent(again)
         assert seqs(frames) == kept
-        for before, after in zip(kept, kept[1:], strict=False):
+        for before, after in itertools.pairwise(kept):
             declared = {f.seq: f.follows_seq for f in frames}[after]
             assert declared == (before if after != before + 1 else 0)
 
