@@ -44,10 +44,13 @@ def go_on(robots: list[LightRobot], frames: int = 15) -> None:
 
 def test_after_sigkill_of_a_replica_others_go_on_within_half_a_second(whole: Stack, drive: Drive) -> None:
     robots = drive(3)
+    wait_until(lambda: loads(whole) == [1, 1, 1], 15.0, "one robot each")
+    attempts = [robot.attempt for robot in robots]
     since_s = time.monotonic()
     fullest(whole).kill()
     go_on(robots)
     check_gaps(robots, since_s, bars.KILLED_REPLICA_GAP_S)
+    assert [robot.attempt for robot in robots] == attempts, "the proxy itself goes past the dead one"
     assert sum(streams(replica) for replica in whole.replicas) == 3
     check_each_frame_once(whole, robots)
 
