@@ -18,9 +18,9 @@ def test_after_a_stream_that_broke_the_robot_wants_the_replica_it_was_on():
 
 def test_a_drained_robot_wants_the_replica_it_was_told_and_keeps_to_it():
     """The proxy says nothing when it has done as it was told: the second break is at the replica of the wish."""
-    faults = {3: Fault.DRAIN, 5: Fault.KILL}
+    faults = {3: Fault.DRAIN, 9: Fault.KILL}
     with FakeService(faults=faults, drain_to="replica-b") as service, uplink_to(service.address) as uplink:
-        send_all(uplink, 6)
+        send_all(uplink, 10)
     assert service.wishes == ["", "replica-b", "replica-b"]
     assert [hello.attempt for hello in service.hellos] == [0, 1, 1]
 
