@@ -25,7 +25,10 @@ class CarriedMotion:
         if blind or not motion.velocity_known or self._frames >= s.frames:
             return False
         rotation_rad, translation_m = _sigmas(motion)
-        return self._rotation_rad + rotation_rad <= s.rotation_rad and self._translation_m + translation_m <= s.translation_m
+        return (
+            self._rotation_rad + rotation_rad <= s.rotation_rad
+            and self._translation_m + translation_m <= s.translation_m
+        )
 
     def went(self, motion: Motion, bare: bool) -> None:
         """The frame goes out."""
@@ -40,7 +43,8 @@ class CarriedMotion:
 
 def ends(knots: Knots) -> Knots:
     """The first and the last knot: without points nothing is to be deskewed with those between."""
-    return Knots(*(np.ascontiguousarray(part[[0, -1]]) for part in (knots.offsets_ns, knots.rotation, knots.translation_m)))
+    both = [0, -1]
+    return Knots(knots.offsets_ns[both], knots.rotation[both], knots.translation_m[both])
 
 
 def _sigmas(motion: Motion) -> tuple[float, float]:

@@ -39,7 +39,9 @@ class RateSettings(Model):
     fewest_points: int = Field(default=200, ge=1, description="the same where it is not: fewer do not register")
     fewest_dense_points: int = Field(default=1000, ge=1, description="a keyframe of fewer maps little")
     first_dense_frames: int = Field(
-        default=2, ge=0, description="the map begins with them: whole, if the window allows; a start in motion takes two to find the velocity"
+        default=2,
+        ge=0,
+        description="the map begins with them: whole, if the window allows; a start in motion takes two",
     )
     frame_overhead_bytes: int = Field(
         default=140, ge=0, description="around a payload: envelope, gRPC, HTTP/2, reports"

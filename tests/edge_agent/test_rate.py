@@ -31,7 +31,9 @@ class Run:
         return total[ends] - total[np.searchsorted(self.stamps_ns, starts)]
 
 
-def drive(control: RateControl, scans: int, dense_every: int, bits: float = 15.0, start: int = 0, known: bool = True) -> Run:
+def drive(
+    control: RateControl, scans: int, dense_every: int, bits: float = 15.0, start: int = 0, known: bool = True
+) -> Run:
     """scans at 10 Hz; a point costs `bits` +- 20 %, a frame 160 bytes besides, 60 without points; a dense one has 5,000
     points, and is put off when there is no room."""
     rng = np.random.default_rng(start)
