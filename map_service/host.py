@@ -39,6 +39,7 @@ class SessionHost:
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
         self._send = send
         self._committer = Committer(store, config.commit, self.tally)
+        self._leaving: set[int] = set()  # streams whose sessions are being handed over
         self._released: list[str] = []
         self._poison: dict[str, int] = {}
 
@@ -260,6 +261,8 @@ class SessionHost:
                     if not session.log.waiting:
                         self._say_finished(session)
                     continue
+                if session.stream in self._leaving and not session.log.waiting:
+                    self._handed(session)
                 if session.commit_due:
                     session.commit()
                 while session.held and session.stream is not None and not session.log.full:
@@ -302,6 +305,7 @@ class SessionHost:
             self._detach(session.stream)
 
     def _detach(self, stream: int) -> None:
+        self._leaving.discard(stream)
         session = self.sessions.get(self.streams.pop(stream, ""))
         if session is not None and session.stream == stream:
             session.stream, session.touched_s = None, time.monotonic()
@@ -311,27 +315,20 @@ class SessionHost:
         session = self.sessions.pop(session_id, None)
         if session is not None:
             if session.stream is not None:
-                self.streams.pop(session.stream, None)
+                self._detach(session.stream)
             self._released.append(session_id)
 
     # -- handing over -------------------------------------------------------------------------------------------
 
     def _hand_over(self, stream: int) -> None:
-        """One session, to another replica. It stays in memory for the case that the robot comes back."""
+        """One session, to another replica, once it is durable. It stays in memory, should the robot come back."""
         session = self.sessions.get(self.streams.get(stream, ""))
-        if session is None:  # its stream was ended meanwhile
-            return
-        try:
+        if session is not None:  # else its stream was ended meanwhile
             session.commit()
-            self._handed(session, FLUSH_S)
-        except FencedError as error:
-            self._fenced(session, error)
-        except StoreError as error:
-            self._store_failed(session, error)
+            self._leaving.add(stream)
 
-    def _handed(self, session: Session, within_s: float) -> None:
-        """Waits for the commits; what the robot still sends on this stream is for the next replica. Raises as flush."""
-        session.log.flush(within_s)
+    def _handed(self, session: Session) -> None:
+        """Everything is durable: what the robot still sends on this stream is for the next replica."""
         if session.stream is not None:
             self._send(Handed(session.stream, session.log.durable_seq))
             self._detach(session.stream)
@@ -344,7 +341,8 @@ class SessionHost:
             session.commit()
         for session in sessions:
             try:
-                self._handed(session, self.config.commit.drain_s + FLUSH_S)
+                session.log.flush(self.config.commit.drain_s + FLUSH_S)
+                self._handed(session)
             except (FencedError, StoreError) as error:
                 fields = {"session": session.request.session_id, "detail": str(error)}
                 _log.error("not committed at drain", extra={"fields": fields})
