@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Row, delete, func, select
+from sqlalchemy import Connection, Row, delete, func, select
 
 from map_service import schema
 from map_service.rows import unpack_pose
@@ -53,19 +53,8 @@ class Catalog:
 
     def delete(self, session_id: str) -> Deleted | None:
         """Remove a session with everything it stored; None: there is none."""
-        t = schema.sessions
         with self._store.writing() as connection:
-            # locked: a commit of its owner either comes before all of this or finds nothing to write to
-            query = select(t.c.id, t.c.bytes).where(t.c.session_id == session_id).with_for_update()
-            row = connection.execute(query).first()
-            if row is None:
-                return None
-            removed = {
-                table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
-                for table in schema.SESSION_TABLES
-            }
-            connection.execute(delete(t).where(t.c.id == row.id))
-            return Deleted(removed["frames"], removed["keyframes"], row.bytes)
+            return delete_session(connection, session_id)
 
     def trajectory(self, key: int) -> Iterator[list[tuple[int, int, np.ndarray]]]:
         """Chunks of at most 1,000 (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only."""
@@ -98,7 +87,25 @@ class Catalog:
             for index, pose, cloud in rows:
                 yield StoredKeyframe(index, unpack_pose(pose), cloud)
 
-    def bytes(self) -> int:
-        """What all sessions have written, without the database's own overhead."""
+    def bytes_by_site(self) -> dict[str, int]:
+        """What the sessions of each site have written, without the database's own overhead."""
+        t = schema.sessions
+        query = select(t.c.site_id, func.sum(t.c.bytes)).group_by(t.c.site_id)
         with self._store.reading() as connection:
-            return int(connection.execute(select(func.coalesce(func.sum(schema.sessions.c.bytes), 0))).scalar_one())
+            return {site: int(size) for site, size in connection.execute(query)}
+
+
+def delete_session(connection: Connection, session_id: str) -> Deleted | None:
+    """Every row of a session, within a transaction that writes; None: there is none."""
+    t = schema.sessions
+    # locked: a commit of its owner either comes before all of this or finds nothing to write to
+    query = select(t.c.id, t.c.bytes).where(t.c.session_id == session_id).with_for_update()
+    row = connection.execute(query).first()
+    if row is None:
+        return None
+    removed = {
+        table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
+        for table in schema.SESSION_TABLES
+    }
+    connection.execute(delete(t).where(t.c.id == row.id))
+    return Deleted(removed["frames"], removed["keyframes"], row.bytes)

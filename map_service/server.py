@@ -15,6 +15,7 @@ from grpc_reflection.v1alpha import reflection
 from map_service.config import ServiceConfig
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
+from map_service.housekeeping import Housekeeper
 from map_service.metrics import ServiceMetrics
 from map_service.session_service import SessionFront
 from map_service.store import Store
@@ -61,8 +62,10 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         await server.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
         scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
+        keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
         await stopping
+        keeping.cancel()
         _log.info("draining")
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
         front.drain()
