@@ -21,7 +21,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 
-from benchmarks.blocks import FRAME_NS, KEYFRAME_STEP_M, block_frame
+from benchmarks.blocks import FRAME_NS, block_frame
 from map_service.engine import SlamEngine
 from map_service.hello import SessionRequest, read_hello
 from map_service.rows import SessionCommit
@@ -66,7 +66,7 @@ def drive(url: str, run_id: str, keyframes: int) -> int:
         answer = pipeline.process(block_frame(seq, _BEAMS_RAD), [])
         T_map_odom[seq] = answer.T_map_odom
         found += answer.keyframe
-        if answer.keyframe and found % 20 == 0 or found == keyframes:
+        if (answer.keyframe and found % 20 == 0) or found == keyframes:
             commit = pipeline.take_commit()
             store.commit(opened.key, opened.epoch, SessionCommit(commit, T_map_odom))
             previous, T_map_odom = commit.last_seq, {}

@@ -174,9 +174,9 @@ def _batches(connection: Connection, table: Table, columns: list[Column]) -> Ite
     """Rows in the order of their primary key."""
     query = select(*columns).order_by(*table.primary_key.columns)
     size = _BATCH.get(table.name, _ROWS)
-    rows = connection.execution_options(yield_per=size).execute(query)
-    for batch in rows.partitions():
-        yield list(batch)
+    with connection.execution_options(yield_per=size).execute(query) as rows:
+        for batch in rows.partitions():
+            yield list(batch)
 
 
 def _add(digest: Any, rows: list[Row]) -> None:

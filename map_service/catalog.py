@@ -66,26 +66,28 @@ class Catalog:
                     select(k.c.keyframe, k.c.pose_map_lidar).where(k.c.session == key)
                 )
             }
-            rows = connection.execution_options(yield_per=_PAGE_ROWS).execute(
+            query = (
                 select(f.c.seq, f.c.stamp_ns, f.c.keyframe, f.c.pose_keyframe_lidar)
                 .where(f.c.session == key, f.c.rejected == "")
                 .order_by(f.c.seq)
             )
-            for page in rows.partitions():
-                yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
+            with connection.execution_options(yield_per=_PAGE_ROWS).execute(query) as rows:
+                for page in rows.partitions():
+                    yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
     def keyframes(self, key: int) -> Iterator[StoredKeyframe]:
         """Every keyframe with its cloud, one at a time."""
         k, c = schema.keyframes, schema.clouds
         with self._store.reading() as connection:
-            rows = connection.execution_options(yield_per=16).execute(
+            query = (
                 select(k.c.keyframe, k.c.pose_map_lidar, c.c.cloud)
                 .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
                 .where(k.c.session == key)
                 .order_by(k.c.keyframe)
             )
-            for index, pose, cloud in rows:
-                yield StoredKeyframe(index, unpack_pose(pose), cloud)
+            with connection.execution_options(yield_per=16).execute(query) as rows:
+                for index, pose, cloud in rows:
+                    yield StoredKeyframe(index, unpack_pose(pose), cloud)
 
     def bytes_by_site(self) -> dict[str, int]:
         """What the sessions of each site have written, without the database's own overhead."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, select
+from sqlalchemy import Connection, Executable, Row, select
 
 from map_service import migrations, schema
 from map_service.cloud import decode_cloud
@@ -70,21 +70,16 @@ def _session(connection: Connection, row: Row, since_s: float, seen: Seen) -> It
 def _keyframes(connection: Connection, key: int, counts: dict[str, int]) -> Any:
     """Returns the keyframes that are there."""
     k, c = schema.keyframes, schema.clouds
-    poses = dict(
-        connection.execute(
-            select(k.c.keyframe, k.c.pose_map_lidar).where(k.c.session == key).order_by(k.c.keyframe)
-        ).all()  # type: ignore[arg-type]
-    )
+    query = select(k.c.keyframe, k.c.pose_map_lidar).where(k.c.session == key).order_by(k.c.keyframe)
+    poses: dict[int, bytes] = {row.keyframe: row.pose_map_lidar for row in _rows(connection, query)}
     counts["keyframes"] = len(poses)
-    for expected, (index, pose) in enumerate(poses.items()):
-        if index != expected:
-            yield f"keyframe {expected} is missing"
-            break
+    yield from _missing("keyframe", list(poses))
+    for index, pose in poses.items():
         if problem := _pose_problem(pose):
             yield f"keyframe {index}: {problem}"
     without = set(poses)
     query = select(c.c.keyframe, c.c.cloud).where(c.c.session == key).order_by(c.c.keyframe)
-    for index, cloud in connection.execution_options(yield_per=_CLOUDS).execute(query):
+    for index, cloud in _rows(connection, query, _CLOUDS):
         if index not in poses:
             yield f"cloud {index} belongs to no keyframe"
         elif problem := _problem(decode_cloud, cloud):
@@ -99,10 +94,11 @@ def _frames(
     connection: Connection, row: Row, keyframes: set[int], holes_noted: bool, counts: dict[str, int]
 ) -> Iterator[str]:
     f, h = schema.frames, schema.holes
-    holes = dict(connection.execute(select(h.c.seq, h.c.follows_seq).where(h.c.session == row.id)).all())  # type: ignore[arg-type]
+    query = select(h.c.seq, h.c.follows_seq).where(h.c.session == row.id)
+    holes: dict[int, int] = {hole.seq: hole.follows_seq for hole in _rows(connection, query)}
     last = 0
     query = select(f).where(f.c.session == row.id).order_by(f.c.seq)
-    for frame in connection.execution_options(yield_per=_ROWS).execute(query):
+    for frame in _rows(connection, query):
         if frame.seq != last + 1 and holes_noted and holes.get(frame.seq) != last:
             yield f"frames {last + 1} to {frame.seq - 1} are missing, and the robot did not say so"
         last = frame.seq
@@ -123,16 +119,15 @@ def _factors(connection: Connection, key: int, keyframes: int, counts: dict[str,
     t = schema.factors
     query = select(t.c.factor, t.c.kind, t.c.payload).where(t.c.session == key).order_by(t.c.factor)
     names = {"loop": "loops", "gnss": "gnss_factors"}
-    poses = 0
-    for expected, (index, kind, payload) in enumerate(connection.execution_options(yield_per=_ROWS).execute(query)):
-        if index != expected:
-            yield f"factor {expected} is missing"
-            break
+    poses, indices = 0, []
+    for index, kind, payload in _rows(connection, query):
+        indices.append(index)
         if kind in names:
             counts[names[kind]] += 1
         poses += kind in ("prior", "odometry")
         if problem := _problem(json.loads, payload):
             yield f"factor {index}: {problem}"
+    yield from _missing("factor", indices)
     if poses != keyframes:
         yield f"{keyframes} keyframes, the graph has {poses} poses"
 
@@ -142,6 +137,19 @@ def _places(connection: Connection, key: int, keyframes: set[int]) -> Iterator[s
     for (index,) in connection.execute(select(t.c.keyframe).where(t.c.session == key).order_by(t.c.keyframe)):
         if index not in keyframes:
             yield f"place {index} belongs to no keyframe"
+
+
+def _rows(connection: Connection, query: Executable, size: int = _ROWS) -> Iterator[Row]:
+    with connection.execution_options(yield_per=size).execute(query) as rows:
+        yield from rows
+
+
+def _missing(what: str, indices: list[int]) -> Iterator[str]:
+    """The first number that is not there; they are to be 0, 1, 2, ..."""
+    for expected, index in enumerate(indices):
+        if index != expected:
+            yield f"{what} {expected} is missing"
+            return
 
 
 def _pose_problem(data: bytes | None) -> str:

@@ -1,4 +1,4 @@
-"""`map-service store ...` and `map-service sessions ...`: what an operator does with a store, services running or not."""
+"""`map-service store ...` and `map-service sessions ...`: an operator's work on a store, services running or not."""
 
 from __future__ import annotations
 
@@ -108,9 +108,8 @@ def list_sessions(
         rows = Catalog(opened).sessions(site)
     for row in rows:
         state = "finished" if row.finished else "open"
-        print(
-            f"{row.session_id}  {row.site_id or '-'}  {state}  {row.frames} frames  {row.keyframes} keyframes  {row.bytes} bytes"
-        )
+        sizes = f"{row.frames} frames  {row.keyframes} keyframes  {row.bytes} bytes"
+        print(f"{row.session_id}  {row.site_id or '-'}  {state}  {sizes}")
 
 
 @sessions_app.command()

@@ -58,7 +58,7 @@ class FakePipeline:
         if keyframe:
             index = len(self.keyframes)
             self.keyframes.append(x_m)
-            self.new_keyframes.append(KeyframeRecord(index, seq, stamp_ns, at(x_m), _cloud()))
+            self.new_keyframes.append(KeyframeRecord(index, seq, stamp_ns, at(x_m), made_cloud()))
             self.factors.append(FactorRecord(index, "odometry" if index else "prior", b"f"))
         newest = len(self.keyframes) - 1
         pose = at(x_m - self.keyframes[newest])
@@ -120,7 +120,8 @@ class FakeEngine:
         pass
 
 
-def _cloud() -> bytes:
+def made_cloud() -> bytes:
+    """Encoded; surfs alone."""
     n = len(POINTS_LIDAR)
     nothing = POINTS_LIDAR[:0]
     intensity = np.arange(n, dtype=np.uint8)
