@@ -1,6 +1,6 @@
 """How long after a start the map service answers the first frame of a long session.
 
-    python -m benchmarks.restart --keyframes 3000 [--store URL] [--json]
+    python -m benchmarks.restart --keyframes 3000 [--store URL]
 
 A session is driven through the pipeline at a metre a keyframe, committed as a worker would, and left unfinished. Then
 `map-service serve` is started as a process, and a robot resumes: from the start of the interpreter to its first answer.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -31,6 +32,7 @@ from splitslam import codec
 from splitslam.robot import Robot, robot_to_yaml
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
+from splitslam.wire import types_pb2 as types_pb
 
 ROOT = Path(__file__).resolve().parent.parent
 _BEAMS_RAD = np.deg2rad(np.linspace(-15.0, 15.0, 16)).astype(np.float32)
@@ -76,10 +78,11 @@ def drive(url: str, run_id: str, keyframes: int) -> int:
     return seq
 
 
-def restart(url: str, run_id: str, seq: int, config: dict | None = None) -> dict:
-    """Starts the service, resumes with the frame after `seq`; seconds from the start, and what the answer says."""
+def restart(url: str, run_id: str, seq: int) -> dict:
+    """Starts the service, resumes with the frame after `seq`; s from the start, and CPU s of all its processes."""
     body = codec.encode(block_frame(seq + 1, _BEAMS_RAD), _BEAMS_RAD, _COLUMNS)
     command = [sys.executable, "-m", "map_service", "serve", "--listen", "127.0.0.1:0", "--store", url]
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     start_s = time.monotonic()
     with subprocess.Popen(
         [*command, "--workers", "1", "--metrics-port", "0"], stdout=subprocess.PIPE, text=True, cwd=ROOT
@@ -104,10 +107,11 @@ def restart(url: str, run_id: str, seq: int, config: dict | None = None) -> dict
                     match response.WhichOneof("message"):
                         case "welcome":
                             welcome_s = time.monotonic() - start_s
-                            assert response.welcome.durable_seq == seq
+                            seq_durable = response.welcome.durable_seq
+                            assert seq_durable == seq, f"{seq_durable} is durable, expected {seq}"
                         case "odometry":
                             answer_s = time.monotonic() - start_s
-                            state = pb.TrackingState if False else response.odometry.state
+                            state = response.odometry.state
                             break
                         case "refused":
                             raise RuntimeError(response.refused.detail)
@@ -115,11 +119,13 @@ def restart(url: str, run_id: str, seq: int, config: dict | None = None) -> dict
         finally:
             service.terminate()
             service.wait(30)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return {
         "listening_s": round(listening_s, 3),
         "welcome_s": round(welcome_s, 3),
         "answer_s": round(answer_s, 3),
-        "state": int(state),
+        "cpu_s": round(used.ru_utime + used.ru_stime - spent.ru_utime - spent.ru_stime, 3),
+        "state": types_pb.TrackingState.Name(state).removeprefix("TRACKING_STATE_"),
     }
 
 
@@ -141,8 +147,10 @@ def main() -> None:
             print(f"driven in {time.monotonic() - start_s:.0f} s", file=sys.stderr)
             if options.keep:
                 options.keep.write_text(json.dumps([run_id, seq]))
-        for _ in range(options.repeat):
-            print(json.dumps({"keyframes": options.keyframes, "frames": seq, **restart(url, run_id, seq)}), flush=True)
+        for again in range(options.repeat):  # each adds a frame
+            print(json.dumps({"frames": seq + again, **restart(url, run_id, seq + again)}), flush=True)
+        if options.keep:
+            options.keep.write_text(json.dumps([run_id, seq + options.repeat]))
 
 
 if __name__ == "__main__":
