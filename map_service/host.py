@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError as WireError
 
 from map_service.accounts import SessionAccounts
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
@@ -44,6 +44,7 @@ class SessionHost:
         self._quotas = SiteQuotas(config.quota, Catalog(store))
         self._quotas_looked_s = time.monotonic()
         self._quotas_look: Future[None] | None = None
+        self._leaving: set[int] = set()  # streams whose sessions are being handed over
         self._released: list[str] = []
         self._poison: dict[str, int] = {}
 
@@ -86,6 +87,8 @@ class SessionHost:
                 self._detach(stream)
             case Forget(session_id):
                 self._drop(session_id)
+            case HandOver(stream):
+                self._hand_over(stream)
             case DrainAll():
                 pass
 
@@ -266,6 +269,8 @@ class SessionHost:
                     if not session.log.waiting:
                         self._say_finished(session)
                     continue
+                if session.stream in self._leaving and not session.log.waiting:
+                    self._handed(session)
                 if session.commit_due:
                     session.commit()
                 while session.held and session.stream is not None and not session.log.full:
@@ -334,6 +339,7 @@ class SessionHost:
             self._detach(session.stream)
 
     def _detach(self, stream: int) -> None:
+        self._leaving.discard(stream)
         session = self.sessions.get(self.streams.pop(stream, ""))
         if session is not None and session.stream == stream:
             session.stream, session.touched_s = None, time.monotonic()
@@ -343,15 +349,36 @@ class SessionHost:
         session = self.sessions.pop(session_id, None)
         if session is not None:
             if session.stream is not None:
-                self.streams.pop(session.stream, None)
+                self._detach(session.stream)
             self._released.append(session_id)
 
+    # -- handing over -------------------------------------------------------------------------------------------
+
+    def _hand_over(self, stream: int) -> None:
+        """One session, to another replica, once it is durable. It stays in memory, should the robot come back."""
+        session = self.sessions.get(self.streams.get(stream, ""))
+        if session is not None:  # else its stream was ended meanwhile
+            session.commit()
+            self._leaving.add(stream)
+
+    def _handed(self, session: Session) -> None:
+        """Everything is durable: what the robot still sends on this stream is for the next replica."""
+        if session.stream is not None:
+            self._send(Handed(session.stream, session.log.durable_seq))
+            self._detach(session.stream)
+
     def drain(self) -> None:
+        """All sessions: the commits are under way together, each robot goes as soon as its own is durable."""
         self._committer.give_up_after(self.config.commit.drain_s)
-        for session in list(self.sessions.values()):
+        sessions = sorted(self.sessions.values(), key=lambda session: session.stream is None)
+        for session in sessions:
+            session.commit()
+        for session in sessions:
             try:
-                session.commit()
                 session.log.flush(self.config.commit.drain_s + FLUSH_S)
+                if session.finishing:
+                    self._say_finished(session)
+                self._handed(session)
             except (FencedError, StoreError) as error:
                 fields = {"session": session.request.session_id, "detail": str(error)}
                 _log.error("not committed at drain", extra={"fields": fields})

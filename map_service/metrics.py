@@ -41,6 +41,10 @@ class ServiceMetrics:
         self.database_bytes = Gauge("splitslam_map_database_bytes", "The store as it lies on disk", registry=r)
         self.retention = Counter("splitslam_map_retention_sessions", "Finished sessions deleted for age", registry=r)
         self.retention_bytes = Counter("splitslam_map_retention_bytes", "What they had stored", registry=r)
+        self.drained = self._counter("splitslam_map_drained", "Robots sent to another replica", "reason")
+        for reason in ("shutdown", "rebalance"):
+            self.drained.labels(reason)
+        self.replicas = Gauge("splitslam_map_replicas", "Replicas alive by the store; 0: not shared", registry=r)
         self._by_name = {
             "frames": self._counter("splitslam_map_frames", "Frames", "result"),
             "rejected": self._counter("splitslam_map_rejected", "Frames not mapped", "reason"),

@@ -96,3 +96,8 @@ NO_IMU_STEP_M = 0.07
 TUNNEL_DRIFT_SHARE = 0.005
 # Of an online pose after a kidnapping of 5 m, once found: drift of ten seconds and the start's tilt.
 KIDNAP_FOUND_M = 0.2
+
+# Replicas behind the proxy: longest time between two answers at 10 Hz, s, on a quiet machine.
+KILLED_REPLICA_GAP_S = 0.5
+DRAINED_REPLICA_GAP_S = 0.3
+FROZEN_REPLICA_GAP_S = 2.5

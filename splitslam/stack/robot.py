@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
+from splitslam.stack.process import wait_until
 from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
 
@@ -75,6 +77,12 @@ class LightRobot:
         now_s = time.monotonic()
         self.heard += [Heard(now_s, answer) for answer in self._uplink.take_answers()]
 
+    def wait_answers(self, count: int, timeout_s: float = 30.0) -> None:
+        """Until `count` frames are answered. Raises StackError, or what ended the robot."""
+        wait_until(lambda: self.answered >= count or self.failure is not None, timeout_s, f"{count} answers")
+        if self.failure is not None:
+            raise self.failure
+
     def finish(self) -> pb.Finished:
         """Sends no more, waits for the last answer and says Bye. Raises what the uplink raised."""
         self._stop.set()
@@ -107,5 +115,5 @@ class LightRobot:
     def gap_s(self, since_s: float = 0.0, until_s: float = float("inf")) -> float:
         """The longest time between two answers that reaches into that span, the frames' own period included."""
         times = [heard.at_s for heard in self.heard]
-        pairs = zip(times, times[1:], strict=False)
+        pairs = itertools.pairwise(times)
         return max((b - a for a, b in pairs if b > since_s and a < until_s), default=0.0)
