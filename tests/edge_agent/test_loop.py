@@ -37,7 +37,7 @@ class Log(list[str]):
 
 
 class PassThrough:
-    def push(self, event: Event) -> list[ImuSamples | ScanPacket]:
+    def push(self, event: Event, arrival_ns: int | None = None) -> list[ImuSamples | ScanPacket]:
         return [ScanPacket(event)] if isinstance(event, Scan) else [event]  # type: ignore[list-item]
 
     def finish(self) -> list[ImuSamples | ScanPacket]:
