@@ -43,6 +43,7 @@ class StreamClock(Generic[T]):
         self._offset_ns = 0  # what is added to stamps
         self._last_ns: int | None = None
         self._held: list[_Message[T]] = []
+        self._quickest_ns: int | None = None  # arrival - stamp of the quickest message before the held ones
         self._arrivals: deque[tuple[int, int]] = deque()  # (arrival, arrival - stamp) of what has passed, newest last
 
     def admit(self, first_ns: int, last_ns: int, item: T, arrival_ns: int | None = None) -> list[T]:
@@ -70,6 +71,7 @@ class StreamClock(Generic[T]):
                 return []
             if not 0 < stamp_ns - self._last_ns <= JUMP_NS:
                 self._held = [message]
+                self._quickest_ns = min((late_ns for _, late_ns in self._arrivals), default=None)
                 return []
         return [self._pass(message)]
 
@@ -110,11 +112,10 @@ class StreamClock(Generic[T]):
 
     def _change_ns(self) -> int | None:
         """By how much the clock seems to have stepped: what makes the held messages arrive as late as those before."""
-        if not self._arrivals or any(message.arrival_ns is None for message in self._held):
+        if self._quickest_ns is None or self._held[-1].arrival_ns is None or not self._keeps_time():
             return None
-        before = min(late_ns for _, late_ns in self._arrivals)
-        held = min((m.arrival_ns or 0) - m.last_ns - self._offset_ns for m in self._held)
-        return held - before if self._keeps_time() else None
+        late_ns = [m.arrival_ns - m.last_ns for m in self._held if m.arrival_ns is not None]
+        return min(late_ns) - self._offset_ns - self._quickest_ns
 
     def _is_steady(self) -> bool:
         """The held messages are many enough, and took as long to come as they say."""

@@ -34,7 +34,7 @@ class Event:
 
     def message(self) -> Scan | ImuSamples | WheelSamples | GnssFix:
         if self.stream == "imu":
-            return imu(*(self.stamp_ms + 2.0 * np.arange(5)))  # five samples a message
+            return imu(*(self.stamp_ms + 4.0 * np.arange(5)))  # five samples a message
         make = {"lidar": scan, "wheels": wheels, "gnss": fix}[self.stream]
         return make(self.stamp_ms)
 
@@ -42,14 +42,14 @@ class Event:
 def drive(seconds: float, seed: int = 0, latency_ms: dict[str, float] = LATENCY_MS) -> list[Event]:
     """Everything that the sensors say, in the order in which it comes."""
     rng = np.random.default_rng(seed)
-    periods_ms = {"lidar": 100.0, "imu": 10.0, "wheels": 20.0, "gnss": 1000.0}
+    periods_ms = {"lidar": 100.0, "imu": 20.0, "wheels": 50.0, "gnss": 1000.0}
     events = []
     for stream, period_ms in periods_ms.items():
-        for k in range(int(seconds * 1000 / period_ms)):
-            true_ms = START_MS + k * period_ms
-            length_ms = {"lidar": 100.0, "imu": 8.0}.get(stream, 0.0)
-            late_ms = latency_ms[stream] * (1 + 0.3 * rng.exponential())
-            events.append(Event(stream, true_ms, true_ms, true_ms + length_ms + late_ms))
+        true_ms = START_MS + period_ms * np.arange(int(seconds * 1000 / period_ms))
+        length_ms = {"lidar": 100.0, "imu": 16.0}.get(stream, 0.0)
+        late_ms = latency_ms[stream] * (1 + 0.3 * rng.exponential(size=len(true_ms)))
+        arrival_ms = np.maximum.accumulate(true_ms + length_ms + late_ms)
+        events += [Event(stream, *times) for times in zip(true_ms, true_ms, arrival_ms, strict=True)]
     return sorted(events, key=lambda event: event.arrival_ms)
 
 
@@ -109,8 +109,8 @@ ALL = {"lidar", "imu", "wheels", "gnss"}
 
 
 def test_a_drive_without_trouble_passes_as_it_is():
-    result = run(drive(20.0))
-    assert len(result.stamps_ms["lidar"]) == 200
+    result = run(drive(12.0))
+    assert len(result.stamps_ms["lidar"]) == 120
     assert np.abs(errors_ms(result, "lidar", 100.0)).max() == 0
     assert not result.dropped
     assert not result.sequencer.times.steps
@@ -118,43 +118,44 @@ def test_a_drive_without_trouble_passes_as_it_is():
 
 @pytest.mark.parametrize("by_ms", [HOUR_MS, -HOUR_MS, 2_500.0, -2_500.0, -600.0])
 def test_when_the_wall_clock_steps_the_run_goes_on_with_all_streams_in_step(by_ms: float):
-    result = run(stepped(drive(20.0), 10.0, by_ms, ALL))
+    result = run(stepped(drive(12.0), 6.0, by_ms, ALL))
     assert not result.dropped
-    assert result.sequencer.times.steps == {"lidar": 1, "imu": 1, "wheels": 1, "gnss": 1}
-    assert [len(result.stamps_ms[s]) for s in ("lidar", "imu", "wheels")] == [200, 10_000, 1000]
-    after = {s: errors_ms(result, s, p)[-1] for s, p in (("lidar", 100.0), ("imu", 2.0), ("wheels", 20.0))}
+    slow = by_ms == -600.0  # a fix a second: a step of less does not show in the order of its stamps
+    assert result.sequencer.times.steps == dict.fromkeys(ALL - {"gnss"} if slow else ALL, 1)
+    assert [len(result.stamps_ms[s]) for s in ("lidar", "imu", "wheels")] == [120, 3000, 240]
+    after = {s: errors_ms(result, s, p)[-1] for s, p in (("lidar", 100.0), ("imu", 4.0), ("wheels", 50.0))}
     assert after["lidar"] == after["imu"] == after["wheels"]  # to the nanosecond: they must stay in step
     assert abs(after["lidar"]) < 30.0  # what arrivals cannot tell
     for stream in ALL:
         assert (np.diff(result.stamps_ms[stream]) > 0).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     st.integers(0, 1000),
-    st.floats(2.0, 15.0),
-    st.floats(-1e7, 1e7).filter(lambda by: not -400 < by < 1500),
+    st.floats(2.0, 8.0),
+    st.floats(-1e7, 1e7).filter(lambda by: not -1600 < by < 1600),
     st.sets(st.sampled_from(sorted(ALL)), min_size=1),
 )
 def test_whatever_clock_steps_by_how_much_nothing_is_lost_and_time_goes_forward(
     seed: int, at_s: float, by_ms: float, streams: set[str]
 ):
-    result = run(stepped(drive(20.0, seed), at_s, by_ms, streams))
+    result = run(stepped(drive(12.0, seed), at_s, by_ms, streams))
     assert not result.dropped
     assert result.sequencer.times.steps == dict.fromkeys(streams, 1)
-    assert len(result.stamps_ms["lidar"]) == 200
-    assert len(result.stamps_ms["imu"]) == 10_000
+    assert len(result.stamps_ms["lidar"]) == 120
+    assert len(result.stamps_ms["imu"]) == 3000
     assert (np.diff(result.stamps_ms["imu"]) > 0).all()
     assert np.abs(errors_ms(result, "lidar", 100.0)).max() < 60.0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 1000), st.floats(-1e7, 1e7), st.floats(0.1, 2.0))
 def test_without_a_step_none_is_seen_however_late_messages_come(seed: int, by_ms: float, late_s: float):
-    events = drive(20.0, seed)
+    events = drive(12.0, seed)
     rng = np.random.default_rng(seed)
     # a network that holds everything back now and then, and single stamps that are wrong
-    stalls_ms = START_MS + rng.uniform(0, 20_000, 5)
+    stalls_ms = START_MS + rng.uniform(0, 12_000, 5)
     for k, event in enumerate(events):
         arrival_ms = event.arrival_ms
         for stall_ms in stalls_ms:
@@ -165,52 +166,52 @@ def test_without_a_step_none_is_seen_however_late_messages_come(seed: int, by_ms
     result = run(sorted(events, key=lambda e: e.arrival_ms))
     assert not result.sequencer.times.steps
     assert sum(result.dropped.values()) <= sum(e.stamp_ms != e.true_ms for e in events)
-    assert np.isin(np.round(result.stamps_ms["lidar"]), 100.0 * np.arange(200)).all()
+    assert np.isin(np.round(result.stamps_ms["lidar"]), 100.0 * np.arange(120)).all()
 
 
 @pytest.mark.parametrize("restart_ms", [-START_MS + 5.0, -1.5e9, 7e8], ids=["counts from zero", "behind", "ahead"])
 def test_a_lidar_that_comes_back_after_twenty_seconds_with_another_idea_of_the_time_goes_on(restart_ms: float):
-    events = stepped(silent(drive(40.0), 10.0, 30.0, {"lidar"}), 30.0, restart_ms, {"lidar"})
+    events = stepped(silent(drive(30.0), 4.0, 24.0, {"lidar"}), 24.0, restart_ms, {"lidar"})
     result = run(events)
     assert not result.dropped
     assert result.sequencer.times.steps == {"lidar": 1}
     stamps_ms = result.stamps_ms["lidar"]
-    assert len(stamps_ms) == 200
-    assert stamps_ms[100] == pytest.approx(30_000, abs=30.0)
-    assert np.diff(stamps_ms[100:]) == pytest.approx(100.0)
+    assert len(stamps_ms) == 100
+    assert stamps_ms[40] == pytest.approx(24_000, abs=30.0)
+    assert np.diff(stamps_ms[40:]) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize("streams", [{"lidar"}, {"imu"}, {"lidar", "imu"}, ALL])
 def test_sensors_that_are_unplugged_for_twenty_seconds_cost_that_time_and_no_more(streams: set[str]):
-    result = run(silent(drive(40.0), 10.0, 30.0, streams))
+    result = run(silent(drive(30.0), 4.0, 24.0, streams))
     assert not result.sequencer.times.steps
     assert not result.dropped
     lost = 200 if "lidar" in streams else 0
-    assert len(result.stamps_ms["lidar"]) == 400 - lost
-    assert result.stamps_ms["lidar"][-1] == 39_900
-    assert result.stamps_ms["imu"][-1] >= 39_990
+    assert len(result.stamps_ms["lidar"]) == 300 - lost
+    assert result.stamps_ms["lidar"][-1] == 29_900
+    assert result.stamps_ms["imu"][-1] >= 29_980
 
 
 def test_where_nobody_knows_when_messages_came_a_step_back_is_dropped_and_one_ahead_is_a_gap():
-    ahead = run(stepped(drive(20.0), 10.0, HOUR_MS, ALL), arrivals=False)
+    ahead = run(stepped(drive(12.0), 6.0, HOUR_MS, ALL), arrivals=False)
     assert not ahead.dropped
-    assert ahead.stamps_ms["lidar"][-1] == pytest.approx(HOUR_MS + 19_900)
-    behind = run(stepped(drive(20.0), 10.0, -HOUR_MS, ALL), arrivals=False)
-    assert behind.dropped["time_backwards"] == 100
+    assert ahead.stamps_ms["lidar"][-1] == pytest.approx(HOUR_MS + 11_900)
+    behind = run(stepped(drive(12.0), 6.0, -HOUR_MS, ALL), arrivals=False)
+    assert behind.dropped["time_backwards"] == 60
     assert not behind.sequencer.times.steps
 
 
 def test_in_a_recording_that_was_written_in_one_go_a_pause_is_no_step():
     """Its times of arrival are those of a disk, a tenth of the drive's."""
-    events = silent(drive(40.0), 10.0, 30.0, {"lidar"})
+    events = silent(drive(30.0), 4.0, 24.0, {"lidar"})
     hurried = [Event(e.stream, e.true_ms, e.stamp_ms, START_MS + (e.arrival_ms - START_MS) / 10) for e in events]
     result = run(hurried)
     assert not result.sequencer.times.steps
-    assert result.stamps_ms["lidar"][-1] == 39_900
+    assert result.stamps_ms["lidar"][-1] == 29_900
 
 
 def test_two_steps_in_one_run_are_both_put_right():
-    result = run(stepped(stepped(drive(40.0), 10.0, HOUR_MS, ALL), 25.0, -2 * HOUR_MS, ALL))
+    result = run(stepped(stepped(drive(20.0), 6.0, HOUR_MS, ALL), 13.0, -2 * HOUR_MS, ALL))
     assert not result.dropped
     assert result.sequencer.times.steps == dict.fromkeys(ALL, 2)
     assert np.abs(errors_ms(result, "lidar", 100.0)).max() < 60.0
@@ -220,12 +221,10 @@ def test_messages_stay_in_order_across_streams() -> None:
     """A scan still leaves only when the IMU covers its end."""
     sequencer = Sequencer(robot())
     covered_ms = 0.0
-    for event in stepped(drive(20.0), 10.0, -HOUR_MS, ALL):
+    for event in stepped(drive(12.0), 6.0, -HOUR_MS, ALL):
         for item in sequencer.push(event.message(), round(event.arrival_ms * MS)):
             if isinstance(item, ImuSamples):
                 covered_ms = item.stamps_ns[-1] / MS
             if isinstance(item, ScanPacket):
                 assert covered_ms >= item.scan.end_ns / MS
     assert sequencer.uncovered == 0
-
-
