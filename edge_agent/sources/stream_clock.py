@@ -34,6 +34,8 @@ class StreamClock(Generic[T]):
     was wrong: dropped as `time_jump` or `time_backwards`. If they follow it, and the time of arrival says that as much
     time has passed, there was a gap. If arrival says otherwise, the clock has stepped: from then on its stamps are put
     back by what keeps the quickest arrivals as quick as before.
+    A step that is shorter than three messages of the stream, or less than a second ahead, is not told from lost
+    messages: it costs what lies in it.
     Out of the same messages comes the same, on any machine: arrival is that of the recording when there is one.
     """
 
@@ -71,7 +73,9 @@ class StreamClock(Generic[T]):
                 return []
             if not 0 < stamp_ns - self._last_ns <= JUMP_NS:
                 self._held = [message]
-                self._quickest_ns = min((late_ns for _, late_ns in self._arrivals), default=None)
+                self._quickest_ns = None
+                if len(self._arrivals) >= _STEADY_MESSAGES:
+                    self._quickest_ns = min(late_ns for _, late_ns in self._arrivals)
                 return []
         return [self._pass(message)]
 
