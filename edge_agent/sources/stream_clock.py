@@ -99,20 +99,25 @@ class StreamClock(Generic[T]):
         """A gap, a step, or not to be told yet."""
         change_ns = self._change_ns()
         if change_ns is None or abs(change_ns) < _STEP_NS or (self._is_ahead() and abs(change_ns) < JUMP_NS):
-            if self._is_ahead():  # a gap, or nothing says that it is none
-                return self._let_go()
-            if self._held[-1].last_ns - self._held[0].first_ns > _WAITED_NS:
-                self._drop_first()
-            return []
+            # nothing says that it is no gap
+            return self._let_go() if self._is_ahead() else self._wait()
         arrival_ns = self._held[-1].arrival_ns
         assert arrival_ns is not None
         shared_ns = self._times.known(change_ns, arrival_ns)
         if shared_ns is None and not self._is_steady():
-            return []
+            return self._wait()
         self._offset_ns += change_ns if shared_ns is None else shared_ns
         self._times.step(self._name, change_ns if shared_ns is None else shared_ns, arrival_ns)
         self._arrivals.clear()
         return self._let_go()
+
+    def _wait(self) -> list[T]:
+        """For what comes next; what has been waited for too long is a gap ahead, and lost behind."""
+        if self._held[-1].last_ns - self._held[0].first_ns > _WAITED_NS:
+            if self._is_ahead():
+                return self._let_go()
+            self._drop_first()
+        return []
 
     def _change_ns(self) -> int | None:
         """By how much the clock seems to have stepped: what makes the held messages arrive as late as those before."""

@@ -202,10 +202,11 @@ def test_where_nobody_knows_when_messages_came_a_step_back_is_dropped_and_one_ah
     assert not behind.sequencer.times.steps
 
 
-def test_in_a_recording_that_was_written_in_one_go_a_pause_is_no_step():
-    """Its times of arrival are those of a disk, a tenth of the drive's."""
+@pytest.mark.parametrize("pace", [0.1, 0.6])
+def test_in_a_recording_that_was_written_in_one_go_a_pause_is_no_step(pace: float):
+    """Its times of arrival are those of a disk, faster than the drive's."""
     events = silent(drive(30.0), 4.0, 24.0, {"lidar"})
-    hurried = [Event(e.stream, e.true_ms, e.stamp_ms, START_MS + (e.arrival_ms - START_MS) / 10) for e in events]
+    hurried = [Event(e.stream, e.true_ms, e.stamp_ms, START_MS + (e.arrival_ms - START_MS) * pace) for e in events]
     result = run(hurried)
     assert not result.sequencer.times.steps
     assert result.stamps_ms["lidar"][-1] == 29_900
@@ -239,3 +240,22 @@ def test_a_stream_that_begins_with_a_wrong_stamp_is_not_taken_for_one_whose_cloc
     result = run(events)
     assert not result.sequencer.times.steps
     assert result.dropped == {"wheel_time_backwards": 39, "wheel_duplicate": 1}
+
+
+def test_a_second_of_old_messages_sent_again_is_dropped_and_no_step():
+    events = drive(12.0)
+    old = [e for e in events if 3000 <= e.true_ms - START_MS < 4000]
+    again = [Event(e.stream, e.true_ms, e.stamp_ms, START_MS + 6000 + 0.1 * k) for k, e in enumerate(old)]
+    result = run(sorted([*events, *again], key=lambda e: e.arrival_ms))
+    assert not result.sequencer.times.steps
+    assert result.dropped["time_backwards"] == 10
+    assert len(result.stamps_ms["lidar"]) == 120
+
+
+def test_a_pause_ends_even_when_nobody_can_say_what_it_was():
+    """Arrivals that stand still after it contradict both a gap and a step: after two seconds it was a gap."""
+    events = silent(drive(30.0), 4.0, 14.0, {"lidar"})
+    still = [Event(e.stream, e.true_ms, e.stamp_ms, min(e.arrival_ms, START_MS + 4500)) for e in events]
+    result = run([e for e in still if e.true_ms < START_MS + 17_000])
+    assert not result.sequencer.times.steps
+    assert result.stamps_ms["lidar"][-1] == 16_900
