@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service import _kernels as kernels
-from map_service.settings import LocalMapSettings, VoxelSettings
+from splitslam.registration import _kernels as kernels
+from splitslam.registration.settings import LocalMapSettings, VoxelSettings
 
 
 class VoxelMap:
@@ -69,7 +69,7 @@ class VoxelMap:
 
 
 class LocalMap:
-    """Corner and surf maps in one frame, `local`; see MapPipeline for how `local` relates to `map`."""
+    """Corner and surf maps in one frame, `local`; on the service, MapPipeline says how `local` relates to `map`."""
 
     def __init__(self, settings: LocalMapSettings) -> None:
         self.settings = settings
