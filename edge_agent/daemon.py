@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import sys
 import threading
+import time
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import Any
 
 from edge_agent.check import LiveCheck
@@ -14,6 +16,7 @@ from edge_agent.feed import PoseFeed
 from edge_agent.imu import make_imu_node
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.odometry.outage import Outages
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.reader import EventQueue, Reader
@@ -83,7 +86,10 @@ class _Run:
         node = self._pipeline.image_node
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
-        warm_up(robot, config.pipeline, config.imu, beams)
+        warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
+        clock_ns = time.monotonic_ns if source.realtime else None
+        self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
+        metrics.outages_from(self._outages.report)
         self._run_state = RunState(config.state_dir)
         self._run_id = self._run_state.open()
         self._uplink = Uplink(config.server, self._hello(robot), config.uplink, metrics)
@@ -169,7 +175,16 @@ class _Run:
             self._tally.first_seq = welcome.applied_seq + 1
             skip_to_ns = max((pose.stamp_ns for pose in welcome.last_poses), default=-1)
             _log.warning("run %s continued after scan %d", self._run_id.value, welcome.applied_seq)
-        parts = Parts(self._sequencer, self._imu, self._pipeline, self._uplink, self._sink, self._metrics, self._check)
+        parts = Parts(
+            sequencer=self._sequencer,
+            imu=self._imu,
+            pipeline=self._pipeline,
+            uplink=self._uplink,
+            sink=self._sink,
+            metrics=self._metrics,
+            check=self._check,
+            outages=self._outages,
+        )
         return AgentLoop(parts, not self._config.source.realtime, skip_to_ns)
 
     def _nothing_usable(self) -> None:
@@ -197,6 +212,7 @@ class _Run:
             **tally.link(self._uplink.tcp_bytes(), recording_s, counts, self._pipeline.rate),
             "jumps": jumps,
             "wheels": self._imu.wheels_report,
+            "outages": {**asdict(self._outages.report()), "odometry_ms": self._metrics.odometry.summary_ms()},
             "imu_resets": self._imu.resets,
             "deskew": {"back_end": self._pipeline.image_node.name, "troubles": dict(self._pipeline.image_node.counts)},
             "dropped_by_reason": self._metrics.all_dropped(),
