@@ -10,20 +10,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service import _kernels as kernels
-from map_service.settings import LocalMapSettings, VoxelSettings
+from splitslam.registration import _kernels as kernels
+from splitslam.registration.settings import LocalMapSettings, VoxelSettings
+
+_CAPACITY = 1 << 14
 
 
 class VoxelMap:
     """A hash map of voxels with one kind of fit (planes or lines)."""
 
-    def __init__(self, settings: VoxelSettings, kind: float) -> None:
+    def __init__(self, settings: VoxelSettings, kind: float, capacity: int = _CAPACITY) -> None:
+        """capacity: voxels for which memory is taken at once, a power of two; twice as many as will be used."""
         self.settings = settings
         self.kind = kind
         self.limits = np.array(
             [settings.min_points, settings.max_thickness_m, settings.min_extent_share, settings.max_thickness_ratio]
         )
-        self._allocate(1 << 14)
+        self._allocate(capacity)
 
     def _allocate(self, capacity: int) -> None:
         self.keys = np.full(capacity, -1, np.int64)
@@ -39,16 +42,30 @@ class VoxelMap:
         self.used = 0
 
     def insert(self, points: NDArray[np.float64], keyframe: int) -> None:
-        """Adds the points (N, 3), m, frame of the map, of a keyframe, and refits what they touched."""
+        """Adds the points (N, 3), m, frame of the map, of a keyframe, and refits what they touched. Once a keyframe."""
         s = self.settings
         room = self.used + len(points) * s.levels
         if 2 * room > len(self.keys):
             self._grow(room)
+        self._refit(points, keyframe, 1.0)
+
+    def remove(self, points: NDArray[np.float64]) -> None:
+        """Takes out the points (N, 3) of a keyframe that is in, the very same to the bit, and refits what is left."""
+        touched = self._refit(points, 0, -1.0)
+        gone = self.keys[touched[self.moments[touched, 0] == 0.0]]
+        kernels.forget(self.keys, self.moments, self.geometry, gone)
+        self.used -= len(gone)
+
+    def _refit(self, points: NDArray[np.float64], keyframe: int, sign: float) -> NDArray[np.int64]:
+        """Slots of the voxels that were touched, once each."""
+        s = self.settings
         touched = np.empty(len(points) * s.levels, np.int64)
-        count = kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, touched)
+        count = kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, sign, touched)
         touched = np.unique(touched[:count])
-        self.used += int(np.count_nonzero(self.geometry[touched, 9] == 0.0))  # upper bound of new voxels
+        if sign > 0:
+            self.used += int(np.count_nonzero(self.moments[touched, 10] == keyframe))
         kernels.fit(self.keys, self.moments, self.geometry, touched, s.voxel_m, self.kind, self.limits)
+        return touched
 
     def _grow(self, room: int) -> None:
         keys, moments, geometry = self.keys, self.moments, self.geometry
@@ -69,12 +86,13 @@ class VoxelMap:
 
 
 class LocalMap:
-    """Corner and surf maps in one frame, `local`; see MapPipeline for how `local` relates to `map`."""
+    """Corner and surf maps in one frame, `local`; on the service, MapPipeline says how `local` relates to `map`."""
 
-    def __init__(self, settings: LocalMapSettings) -> None:
+    def __init__(self, settings: LocalMapSettings, capacity: tuple[int, int] = (_CAPACITY, _CAPACITY)) -> None:
+        """capacity: of the corner and the surf map at the start, see VoxelMap."""
         self.settings = settings
-        self.corners = VoxelMap(settings.corners, kernels.LINE)
-        self.surfs = VoxelMap(settings.surfs, kernels.PLANE)
+        self.corners = VoxelMap(settings.corners, kernels.LINE, capacity[0])
+        self.surfs = VoxelMap(settings.surfs, kernels.PLANE, capacity[1])
         self.keyframes: set[int] = set()
 
     def clear(self) -> None:
@@ -91,8 +109,24 @@ class LocalMap:
         surfs_lidar: NDArray[np.float32],
     ) -> None:
         """Adds keyframe `index`: its points (N, 3) float32, frame `lidar`, at its pose (4, 4)."""
-        for voxels, points_lidar in ((self.corners, corners_lidar), (self.surfs, surfs_lidar)):
-            points_local = np.empty((len(points_lidar), 3))
-            kernels.transform(T_local_lidar, points_lidar, points_local)
-            voxels.insert(points_local, index)
+        self.corners.insert(_moved(T_local_lidar, corners_lidar), index)
+        self.surfs.insert(_moved(T_local_lidar, surfs_lidar), index)
         self.keyframes.add(index)
+
+    def remove(
+        self,
+        index: int,
+        T_local_lidar: NDArray[np.float64],
+        corners_lidar: NDArray[np.float32],
+        surfs_lidar: NDArray[np.float32],
+    ) -> None:
+        """Takes keyframe `index` out again; points and pose are those it was inserted with, to the bit."""
+        self.corners.remove(_moved(T_local_lidar, corners_lidar))
+        self.surfs.remove(_moved(T_local_lidar, surfs_lidar))
+        self.keyframes.discard(index)
+
+
+def _moved(T_local_lidar: NDArray[np.float64], points_lidar: NDArray[np.float32]) -> NDArray[np.float64]:
+    points_local = np.empty((len(points_lidar), 3))
+    kernels.transform(T_local_lidar, points_lidar, points_local)
+    return points_local
