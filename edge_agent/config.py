@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.settings import PipelineSettings
 from splitslam.config import Model
 
@@ -115,6 +116,7 @@ class AgentConfig(Model):
     output: OutputConfig = OutputConfig()
     pipeline: PipelineSettings = PipelineSettings()
     imu: ImuSettings = ImuSettings()
+    odometry: OdometrySettings = OdometrySettings()
     disable: tuple[Part, ...] = ()
     uplink: UplinkConfig = UplinkConfig()
     spool: SpoolConfig = SpoolConfig()

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from edge_agent.dense import DensePolicy
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.odometry.outage import Correction, Outages
 from edge_agent.rate import RateControl
 from edge_agent.reader import TimedEvent
 from edge_agent.sources import Event
+from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
@@ -26,6 +28,7 @@ from splitslam.wire import session_pb2 as pb
 
 UNANCHORED = 4
 Item = ImuSamples | WheelSamples | ScanPacket
+_SILENT_NS = 1_500_000_000  # without an answered scan, as when the LiDAR is unplugged, the pose is the edge's own
 _LAG = 2  # scan k sees the odometry of scans <= k - 2
 
 
@@ -55,7 +58,7 @@ class Imu(Protocol):
 class Sequencer(Protocol):
     """edge_agent.sources.sequencer.Sequencer."""
 
-    def push(self, event: Event) -> Sequence[Item]: ...
+    def push(self, event: Event, arrival_ns: int | None = None) -> Sequence[Item]: ...
     def finish(self) -> Sequence[Item]: ...
 
 
@@ -80,6 +83,7 @@ class Sink(Protocol):
     def on_scan_begun(self) -> None: ...
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: NDArray[np.float64]) -> pb.Frame: ...
     def on_answer(self, answer: Answer) -> None: ...
+    def on_correction(self, correction: Correction) -> None: ...
     def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None: ...
 
 
@@ -92,7 +96,7 @@ class Check(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What the loop drives. check: looks on."""
+    """What the loop drives. check: looks on. outages: None: without answers there is only the Imu node."""
 
     sequencer: Sequencer
     imu: Imu
@@ -101,6 +105,7 @@ class Parts:
     sink: Sink
     metrics: EdgeMetrics
     check: Check | None = None
+    outages: Outages | None = None
 
 
 class AgentLoop:
@@ -109,6 +114,8 @@ class AgentLoop:
     def __init__(self, parts: Parts, lockstep: bool, first_seq: int = 1) -> None:
         self._parts, self._lockstep, self._first_seq = parts, lockstep, first_seq
         self._held_back: list[Answer] = []
+        self._answered_ns: int | None = None
+        self._now_ns = 0  # of the newest scan or IMU-rate pose
         self.stopped = False
 
     def run(self, batches: Iterable[list[TimedEvent]]) -> None:
@@ -118,10 +125,10 @@ class AgentLoop:
             if not self._lockstep:
                 self._apply_answers(None)
             items: list[Item] = []
-            for _, event in batch:
+            for arrival_ns, event in batch:
                 if parts.check is not None:
                     parts.check.on_event(event)
-                items += parts.sequencer.push(event)
+                items += parts.sequencer.push(event, arrival_ns)
             self._take(items)
             if self.stopped:
                 return
@@ -158,10 +165,12 @@ class AgentLoop:
         imu = self._parts.imu
         poses = imu.add_imu(samples[0] if len(samples) == 1 else _joined(samples))
         if len(poses.stamps_ns):
+            self._now_ns = max(self._now_ns, int(poses.stamps_ns[-1]))
             self._parts.sink.on_poses(poses, imu, self._state())
 
     def _take_packet(self, packet: ScanPacket) -> None:
         parts = self._parts
+        self._now_ns = max(self._now_ns, packet.scan.stamp_ns)
         if self._lockstep:
             seen_seq = parts.pipeline.seq + 1 - _LAG
             if not parts.uplink.wait_answered(seen_seq):
@@ -184,6 +193,22 @@ class AgentLoop:
             return
         parts.metrics.stages(frame.stage_cpu_ms, frame.stage_wall_ms)
         parts.uplink.send(parts.sink.on_frame(frame, parts.imu.T_odom_lidar_at(frame.stamp_ns)))
+        self._place(frame)
+
+    def _place(self, frame: EncodedFrame) -> None:
+        """While no answers come, the edge's own odometry takes the service's place."""
+        outages = self._parts.outages
+        if outages is None or frame.features is None:
+            return
+        clock = StageClock()
+        replies = outages.on_frame(frame.features)
+        if not replies:
+            return
+        clock.lap("odometry")
+        self._parts.metrics.odometry.observe_s(clock.cpu_ms["odometry"] * 1e-3)
+        for reply in replies:
+            self._parts.imu.on_odometry(reply)
+        self._parts.metrics.state.set(self._state())
 
     def _apply_answers(self, up_to_seq: int | None) -> None:
         """Hands answers to the Imu node in seq order; later ones than `up_to_seq` are held back."""
@@ -197,14 +222,26 @@ class AgentLoop:
                 parts.metrics.drop(f"rejected_{answer.reply.rejected}")
             own = answer.reply.seq >= self._first_seq
             if own:  # the node has not seen the scans of an agent before
-                parts.imu.on_odometry(answer.reply)
+                parts.imu.on_odometry(self._in_one_frame(answer.reply))
+                self._answered_ns = answer.reply.stamp_ns
             parts.sink.on_answer(answer)
             if own and parts.check is not None:
                 parts.check.on_answer(answer)
         parts.metrics.state.set(self._state())
 
+    def _in_one_frame(self, reply: OdometryReply) -> OdometryReply:
+        """After an outage `odom` goes on from where the robot was: the difference is `map`'s."""
+        if self._parts.outages is None:
+            return reply
+        steady, correction = self._parts.outages.on_answer(reply)
+        if correction is not None:
+            self._parts.sink.on_correction(correction)
+        return steady
+
     def _state(self) -> int:
-        return self._parts.imu.state if self._lockstep or self._parts.uplink.anchored else UNANCHORED
+        silent = self._answered_ns is not None and self._now_ns - self._answered_ns > _SILENT_NS
+        connected = self._lockstep or self._parts.uplink.anchored
+        return self._parts.imu.state if connected and not silent else UNANCHORED
 
 
 def _joined(samples: list[ImuSamples]) -> ImuSamples:

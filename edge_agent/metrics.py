@@ -18,6 +18,8 @@ from splitslam.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from edge_agent.odometry.outage import OutageReport
+
 _BUCKETS_S = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.256, 0.512, 1.024, 4.096)
 
 
@@ -52,30 +54,23 @@ class Series:
         return summary(np.asarray(self.values_s) * 1e3)
 
 
-class _Drops(Collector):
-    """splitslam_edge_dropped_total{reason}, computed when it is asked for."""
+class _Counts(Collector):
+    """splitslam_edge_NAME_total{LABEL}: sums of what others count for themselves, made when they are asked for."""
 
-    def __init__(self, metrics: EdgeMetrics) -> None:
-        self._metrics = metrics
+    def __init__(self, name: str, text: str, label: str) -> None:
+        self._name, self._text, self._label = name, text, label
+        self.sources: list[Tally[str]] = []
 
-    def collect(self) -> Iterator[CounterMetricFamily]:
-        family = CounterMetricFamily("splitslam_edge_dropped", "What was dropped, by reason", labels=["reason"])
-        for reason, count in sorted(self._metrics.all_dropped().items()):
-            family.add_metric([reason], count)
-        yield family
-
-
-class _SpoolErrors(Collector):
-    """splitslam_edge_spool_errors_total{kind}, as the spools of this run and of those before count them."""
-
-    def __init__(self, sources: list[Tally[str]]) -> None:
-        self._sources = sources
+    def sum(self) -> dict[str, int]:
+        total: Tally[str] = Tally()
+        for source in self.sources:
+            total += Tally(source)  # a copy first: another thread goes on counting
+        return dict(total)
 
     def collect(self) -> Iterator[CounterMetricFamily]:
-        text = "What the disk did not do, what was damaged on it, and frames that the service refused, by kind"
-        family = CounterMetricFamily("splitslam_edge_spool_errors", text, labels=["kind"])
-        for kind, count in sorted(sum((Tally(source) for source in self._sources), Tally[str]()).items()):
-            family.add_metric([kind], count)
+        family = CounterMetricFamily(f"splitslam_edge_{self._name}", self._text, labels=[self._label])
+        for key, count in sorted(self.sum().items()):
+            family.add_metric([key], count)
         yield family
 
 
@@ -96,6 +91,25 @@ class _BackEnd(Collector):
         yield troubles
 
 
+class _Outages(Collector):
+    """What the edge's own odometry does, as edge_agent.odometry.outage counts it."""
+
+    def __init__(self, report: Callable[[], OutageReport]) -> None:
+        self._report = report
+
+    def collect(self) -> Iterator[CounterMetricFamily | GaugeMetricFamily]:
+        report = self._report()
+        text = "Scans placed by the edge's own odometry, by how that went"
+        scans = CounterMetricFamily("splitslam_edge_odometry_scans", text, labels=["result"])
+        for result, count in report.scans.items():
+            scans.add_metric([result], count)
+        yield scans
+        yield CounterMetricFamily("splitslam_edge_outages", "Times without answers of the map service", report.count)
+        yield CounterMetricFamily("splitslam_edge_outage_seconds", "How long they were", report.seconds)
+        text = "1 while the edge goes by its own odometry"
+        yield GaugeMetricFamily("splitslam_edge_alone", text, float(report.alone))
+
+
 class EdgeMetrics:
     """Every metric of the agent, in a registry of its own (several agents may live in one process)."""
 
@@ -107,12 +121,16 @@ class EdgeMetrics:
         self.stage_cpu: dict[str, Series] = {}
         self.stage_wall: dict[str, Series] = {}
         self.round_trip = Series(self._histogram("round_trip_seconds", "Frame handed over to answer received"), keep)
+        self.odometry = Series(self._histogram("odometry_seconds", "Thread CPU time of the edge's odometry"), keep)
         self._uplink = self._counter("uplink_bytes", "Serialized messages sent, by kind", ["kind"])
         self.dropped: Tally[str] = Tally()
-        self.drop_sources: list[Tally[str]] = [self.dropped]
-        self.registry.register(_Drops(self))
-        self.spool_error_sources: list[Tally[str]] = []
-        self.registry.register(_SpoolErrors(self.spool_error_sources))
+        self._drops = self._counts("dropped", "What was dropped, by reason", "reason")
+        self.drop_sources = self._drops.sources
+        self.drop_sources.append(self.dropped)
+        text = "What the disk did not do, what was damaged on it, and frames that the service refused, by kind"
+        self.spool_error_sources = self._counts("spool_errors", text, "kind").sources
+        text = "Steps of a sensor's clock that did not reach the run, by stream"
+        self.clock_step_sources = self._counts("clock_steps", text, "stream").sources
         self.scans = self._counter("scans", "Scans by what became of them", ["result"])
         self.connects = self._counter("connects", "Streams that were answered with a Welcome")
         self.reconnects = self._counter("reconnects", "Streams that broke", ["cause"])
@@ -134,6 +152,11 @@ class EdgeMetrics:
             gauge.set(float("nan"))
         self._server: WSGIServer | None = None
 
+    def _counts(self, name: str, text: str, label: str) -> _Counts:
+        counts = _Counts(name, text, label)
+        self.registry.register(counts)
+        return counts
+
     def _histogram(self, name: str, text: str, labels: Sequence[str] = ()) -> Histogram:
         return Histogram(f"splitslam_edge_{name}", text, labels, buckets=_BUCKETS_S, registry=self.registry)
 
@@ -150,10 +173,7 @@ class EdgeMetrics:
 
     def all_dropped(self) -> dict[str, int]:
         """Everything lost so far by reason, also by those who count for themselves (`drop_sources`)."""
-        total: Tally[str] = Tally()
-        for source in self.drop_sources:
-            total += Tally(source)  # a copy first: the reader's thread goes on counting
-        return dict(total)
+        return self._drops.sum()
 
     def sent(self, kind: str, size: int) -> None:
         """Counts one message on the uplink."""
@@ -173,6 +193,10 @@ class EdgeMetrics:
     def deskew_from(self, back_end: str, counts: Tally[str]) -> None:
         """Shows the deskew back end in force and its Image node's own counts."""
         self.registry.register(_BackEnd(back_end, counts))
+
+    def outages_from(self, report: Callable[[], OutageReport]) -> None:
+        """Shows what the edge's own odometry does."""
+        self.registry.register(_Outages(report))
 
     def tcp_bytes_from(self, sent: Callable[[], float], received: Callable[[], float]) -> None:
         """Shows the kernel's byte counts at scrape time."""
