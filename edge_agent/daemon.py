@@ -155,7 +155,8 @@ class _Run:
             raise
 
     def _run(self, stop: threading.Event) -> None:
-        if not self._store.says_how_far and self._uplink.wait_welcome() is None:
+        patient = self._store.run.continued or self._config.uplink.connect_timeout_s is None
+        if not (patient and self._store.says_how_far) and self._uplink.wait_welcome() is None:
             return
         loop = self._loop()
         self._progress.start(self._recording.scan_count)
