@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from benchmarks import _codec_version1_kernels as kernels
 from splitslam import _motion_kernels, se3
 from splitslam.codec import version1, version1_motion
-from splitslam.codec._point_kernels import COLUMN
-from splitslam.codec.beams import column_rate, directions_of, merged, table_of
+from splitslam.codec._beam_kernels import column_rate
+from splitslam.codec._point_kernels import CLASS, COLUMN, INTENSITY
+from splitslam.codec.beams import directions_of, merged, table_of
 from splitslam.features import FeatureFrame, Knots, Motion
 
 _LARGEST_HALF = 65_504.0
@@ -21,16 +22,17 @@ _LARGEST_HALF = 65_504.0
 def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], columns: int, step_m: float) -> bytes:
     """The frame's payload in version 1. Its knots are sampled at 32 times, which is all that version 1 had."""
     rings = len(beam_elevations_rad)
-    order, (points, ring, column, t_offset_ns, intensity) = merged(frame)
-    n = len(order)
+    counts, cells, points, t_offset_ns = merged(frame, rings, columns)
+    n, column = len(points), cells[COLUMN].astype(np.uint16)
+    ring = np.repeat(np.arange(rings, dtype=np.uint8), counts)
     knots = _at_32_times(frame.motion.knots)
-    counts, cells = np.bincount(ring, minlength=rings).astype(np.int64), np.zeros((7, n), np.int32)
-    cells[COLUMN] = column
     per_column = column_rate(counts, cells, t_offset_ns, 1e8 / columns)
     step_um = round(step_m * 1e6)
     directions = directions_of(columns, beam_elevations_rad, step_um)
     residuals = np.empty((kernels.ROWS, n), np.int32)
-    if not kernels.to_residuals(points, ring, column, t_offset_ns, per_column, table_of(knots), directions, residuals):
+    if not kernels.to_residuals(
+        points, ring, column, t_offset_ns, per_column, table_of(knots, version1._SEGMENT_NS), directions, residuals
+    ):
         raise ValueError("a point is not finite or too far away")
 
     uniform, small = _knot_integers(knots)
@@ -43,7 +45,7 @@ def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], column
         bits = kernels.split(residuals[row], signed, symbols[row], raw, bits) if bits >= 0 else bits
     if bits < 0:
         raise ValueError("a time, a ring's number of points or a knot is too large")
-    classes = (order < len(frame.corners)) * np.uint8(16) | (intensity.astype(np.uint16) + 8) // 17
+    classes = 16 * cells[CLASS] + cells[INTENSITY]
     planes = [_compressed(plane.astype(np.uint8, copy=False).tobytes()) for plane in (first, classes, *symbols)]
     flags = version1._VELOCITY_KNOWN * frame.motion.velocity_known | version1._UNIFORM_KNOTS * uniform
     tail = raw[: (bits + 7) // 8].tobytes()

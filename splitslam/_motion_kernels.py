@@ -31,6 +31,27 @@ def rotation_from_vector(wx, wy, wz, R):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
+def vector_of(R, w):
+    """w (3,) = log(R), rad, of R (3, 3) or (4, 4), at any angle: through its quaternion, by Shepperd's method."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    i = 0
+    for k in range(1, 3):
+        if R[k, k] > R[i, i]:
+            i = k
+    j, k = (i + 1) % 3, (i + 2) % 3
+    if trace > R[i, i]:
+        w[0], w[1], w[2], scalar = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1.0 + trace
+    else:
+        w[i], w[j], w[k] = 1.0 + R[i, i] - R[j, j] - R[k, k], R[j, i] + R[i, j], R[k, i] + R[i, k]
+        scalar = R[k, j] - R[j, k]
+    sine = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    angle = 2.0 * math.atan2(sine, abs(scalar))
+    scale = (angle / sine if sine > 0.0 else 0.0) * (-1.0 if scalar < 0.0 else 1.0)
+    for e in range(3):
+        w[e] *= scale
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
 def vector_between(A, B, w):
     """w (3,) = log(A^T B), rad. The rotation between two knots of one scan: below 90 degrees."""
     trace = 0.0
@@ -47,6 +68,20 @@ def vector_between(A, B, w):
     scale = 1.0 if sine < 1e-9 else math.atan2(sine, cosine) / sine
     for k in range(3):
         w[k] *= scale
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def count_segments(offsets_ns, segment_ns, most, parts):
+    """parts (K - 1,) int64: segments of at most segment_ns in each interval, longer ones if there are more than `most`.
+
+    Returns how many there are.
+    """
+    last, count = len(parts), 0
+    segment_ns = max(segment_ns, (offsets_ns[last] - offsets_ns[0]) // (most - last))
+    for k in range(last):
+        parts[k] = -(-(offsets_ns[k + 1] - offsets_ns[k]) // segment_ns)
+        count += parts[k]
+    return count
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

@@ -34,10 +34,8 @@ class MotionTable:
 
 def motion_table(knots: Knots, segment_ns: int = _SEGMENT_NS) -> MotionTable:
     """Cuts every knot interval into segments of at most `segment_ns` (and all into at most 4096)."""
-    spans = np.diff(knots.offsets_ns)
-    segment_ns = max(segment_ns, int(knots.offsets_ns[-1] - knots.offsets_ns[0]) // (_MAX_SEGMENTS - len(spans)))
-    parts = -(-spans // segment_ns)
-    count = int(parts.sum())
+    parts = np.empty(len(knots.offsets_ns) - 1, np.int64)
+    count = kernels.count_segments(knots.offsets_ns, segment_ns, _MAX_SEGMENTS, parts)
     breaks = np.empty(count + 1, np.int64)
     base, slope = np.empty((count, 12), np.float32), np.empty((count, 12), np.float32)
     kernels.fill_segments(knots.offsets_ns, knots.rotation, knots.translation_m, parts, breaks, base, slope)

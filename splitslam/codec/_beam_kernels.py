@@ -1,4 +1,4 @@
-"""Kernels between features as the edge has them and whole steps in their beams: order, times, coordinates, lines.
+"""Kernels between features in one order and whole steps in their beams: times, coordinates, lines.
 
 Rows of `points` are those of _point_kernels.
 """
@@ -15,30 +15,55 @@ from splitslam.codec._point_kernels import ACROSS, ALONG, COLUMN, LARGEST, LATE,
 FASTMATH = {"contract", "nsz"}
 
 TIME_TOLERANCE_NS = 50_000
+FASTEST = 4.0  # columns pass no faster than so many turns in a frame
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def merge(ring_a, column_a, ring_b, column_b, order):
-    """order (A + B,) int32: the merge of two sets sorted by ring, then column (index, B's shifted by A).
+def neighbour_rates(counts, points, t_offset_ns, rates):
+    """rates (N,) float64: ns a column between close neighbours in a ring; returns how many there are."""
+    m, i = 0, 0
+    for r in range(len(counts)):
+        for n in range(counts[r]):
+            if n > 0:
+                gap = np.int64(points[COLUMN, i]) - np.int64(points[COLUMN, i - 1])
+                if 0 < gap <= 64:
+                    rates[m] = (np.int64(t_offset_ns[i]) - np.int64(t_offset_ns[i - 1])) / gap
+                    m += 1
+            i += 1
+    return m
 
-    Returns False when one is not sorted.
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def mean_rate(counts, points, t_offset_ns, about):
+    """ns a column over whole rings, leaving out the place where a scan begins and ends; `about` is a first guess."""
+    time, columns, i = 0.0, 0, 0
+    for r in range(len(counts)):
+        for n in range(counts[r]):
+            if n > 0:
+                gap = np.int64(points[COLUMN, i]) - np.int64(points[COLUMN, i - 1])
+                dt = float(np.int64(t_offset_ns[i]) - np.int64(t_offset_ns[i - 1]))
+                if abs(dt - about * gap) < 32.0 * abs(about):
+                    time += dt
+                    columns += gap
+            i += 1
+    return time / columns if columns > 0 else about
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def column_rate(counts, points, t_offset_ns, turn_ns):
+    """ns a column, 1/256. turn_ns: what it is if the frame is one turn, forwards or backwards.
+
+    A few points, all of them beside the place where a scan begins and ends, would say something absurd: it is then the
+    turn, in the direction in which more neighbours are.
     """
-    na, nb = len(ring_a), len(ring_b)
-    a, b, previous = 0, 0, -1
-    for n in range(na + nb):
-        key_a = (np.int64(ring_a[a]) << 16) + np.int64(column_a[a]) if a < na else 1 << 40
-        key_b = (np.int64(ring_b[b]) << 16) + np.int64(column_b[b]) if b < nb else 1 << 40
-        key = min(key_a, key_b)
-        if key < previous:
-            return False
-        previous = key
-        if key_a <= key_b:
-            order[n] = a
-            a += 1
-        else:
-            order[n] = na + b
-            b += 1
-    return True
+    rates = np.empty(len(t_offset_ns))
+    count = neighbour_rates(counts, points, t_offset_ns, rates)
+    if count == 0:
+        return 0
+    rate = mean_rate(counts, points, t_offset_ns, np.median(rates[:count]))
+    if abs(rate) > FASTEST * turn_ns:
+        rate = np.sign(np.sum(np.sign(rates[:count]))) * turn_ns
+    return np.int64(min(max(round(rate * 256.0), -(1 << 31) + 1), (1 << 31) - 1))
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -161,53 +186,3 @@ def fit_lines(counts, points, lines):
         lines[r, 0] = math.floor(min(max(offset, -1e6), 1e6) * 4.0 + 0.5)
         lines[r, 1] = math.floor(min(max(slope, -8.0), 8.0) * 16384.0 + 0.5)
         offset, slope = lines[r, 0] / 4.0, lines[r, 1] / 16384.0
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def neighbour_rates(counts, points, t_offset_ns, rates):
-    """rates (N,) float64: ns a column between close neighbours in a ring; returns how many there are."""
-    m, i = 0, 0
-    for r in range(len(counts)):
-        for n in range(counts[r]):
-            if n > 0:
-                gap = np.int64(points[COLUMN, i]) - np.int64(points[COLUMN, i - 1])
-                if 0 < gap <= 64:
-                    rates[m] = (np.int64(t_offset_ns[i]) - np.int64(t_offset_ns[i - 1])) / gap
-                    m += 1
-            i += 1
-    return m
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def mean_rate(counts, points, t_offset_ns, about):
-    """ns a column over whole rings, leaving out the place where a scan begins and ends; `about` is a first guess."""
-    time, columns, i = 0.0, 0, 0
-    for r in range(len(counts)):
-        for n in range(counts[r]):
-            if n > 0:
-                gap = np.int64(points[COLUMN, i]) - np.int64(points[COLUMN, i - 1])
-                dt = float(np.int64(t_offset_ns[i]) - np.int64(t_offset_ns[i - 1]))
-                if abs(dt - about * gap) < 32.0 * abs(about):
-                    time += dt
-                    columns += gap
-            i += 1
-    return time / columns if columns > 0 else about
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def phase_steps(counts, points, fractions, column_rad, sums):
-    """sums (L,) complex128: e^(2 pi i change of the azimuth within the column) of points so many columns apart.
-
-    Returns how many pairs there are: each point and the four before it in its ring. Fractions of 9 are left out.
-    """
-    pairs, i = 0, 0
-    for r in range(len(counts)):
-        for n in range(counts[r]):
-            for k in range(1, min(n, 4) + 1):
-                gap = points[COLUMN, i] - points[COLUMN, i - k]
-                if gap < len(sums) and fractions[i] < 1.0 and fractions[i - k] < 1.0:
-                    angle = 2.0 * math.pi * (fractions[i] - fractions[i - k]) / column_rad
-                    sums[gap] += complex(math.cos(angle), math.sin(angle))
-                    pairs += 1
-            i += 1
-    return pairs

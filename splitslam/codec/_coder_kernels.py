@@ -1,64 +1,59 @@
-"""Kernels of the entropy coder: an adaptive binary range coder that mixes three predictions of each bit.
+"""Kernels of the entropy coder: an adaptive binary range coder that adds up what four contexts say of each bit.
 
 Integers only, so that every machine decodes what any other has encoded. The same functions encode and decode: the
 coder's state says which, and a value that goes in while encoding comes out while decoding. Arrays of a coder, apart
 because compiled functions pass arrays faster than tuples of them:
 
-state: (6,) int64, see the names below. data: (N,) uint8, the bytes. model: (WEIGHTS + contexts,) int32: three weights
-for each of the rows, 1/65536; then for every context the probability of a one, 1/65536, times 256, plus how often it
-was met.
+state: (STATE,) int64, see the names below. data: (N,) uint8, the bytes. model: (contexts,) int32: for each context the
+logarithm of the odds that it gives a one, 2^-16, times 64, plus how often it was met.
 
-Range coder with carry propagation as in LZMA (Martin, Range encoding, 1979); predictions are mixed in the logistic
-domain (Mahoney, Adaptive weighing of context models, 2005).
+The chance of a bit is the logistic function of the sum of its contexts, and each of them learns from the error of the
+sum: logistic regression, one bit at a time. A range coder with a wide range (Martin, Range encoding, 1979) puts three
+bytes out at a time, and adds a carry to those that are out.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from splitslam.codec._jit import borrowing
-from splitslam.codec.logistic import RATE, SQUASH, STRETCH
+from splitslam.codec._jit import borrowing, inlined
+from splitslam.codec.levels import LEVEL
+from splitslam.codec.logistic import RATE, SQUASH
 
-LOW, RANGE, CACHE, PENDING, POSITION, DECODING = range(6)  # while decoding LOW holds the code
-BLOCK = 96  # contexts that one number takes
-ROWS = 8  # rows of weights that one number takes
-KINDS = 16  # of numbers, each with weights of its own
-WEIGHTS = KINDS * 3 * ROWS
-SPARED = 5  # bytes that the decoder may read beyond the end
-_TOP = 1 << 24
-_ALL = (1 << 32) - 1
-_LEAST = 48  # of 65536: no bit is ever certain
-_LIMIT = 60  # a context that was met so often forgets: it follows what changes in a frame
-_LEARNING = 6
-_HEAVIEST = 1 << 19
-_LONGEST = 30  # bits of a number
+LOW, RANGE, POSITION, DECODING = range(4)  # while decoding LOW holds the code, less what LOW would be
+STATE = 4
+SPARED = 10  # bytes that the decoder may read beyond the end
+_WHOLE, _LEAST = 1 << 56, 1 << 32  # of the range
+_MET = 63  # a context that was met so often learns no slower: it follows what changes in a frame
+
+# contexts of a number: its sign; has it as many bits as guessed; has it k bits, from below; from above; the second and
+# the third of its bits, by how many there are
+_SIGN, _GUESS, _FROM_BELOW, _FROM_ABOVE, _SECOND, _THIRD = 0, 0, 11, 27, 37, 41
+BLOCK = 64  # contexts that one number takes
+MOST_GUESSED = 12  # bits
+_LONGEST = 30  # bits
 
 
 @borrowing
 def start(state, data, model, decoding):
     """Begin to encode into data, or to decode them."""
-    state[:] = 0
-    state[RANGE], state[DECODING] = _ALL, decoding
-    model[:WEIGHTS] = 24_000
-    model[WEIGHTS:] = 1 << 23
+    state[LOW], state[RANGE], state[POSITION], state[DECODING] = 0, _WHOLE, 0, decoding
+    model[:] = 0
     if decoding:
-        for _ in range(4):
-            state[LOW] = (state[LOW] << 8) | _next_byte(state, data)
-    else:
-        state[POSITION] = -1  # the first byte out is always 0 and is left out
+        _take(state, data, 7)
 
 
 @borrowing
 def finish(state, data):
-    """The number of bytes encoded, all written out; zeros at the end are left to the decoder, up to five."""
+    """The number of bytes encoded, all written out; zeros at the end are left to the decoder, up to SPARED."""
     # the value in [low, low + range) with the most zeros at its end
-    for bits in range(32, -1, -1):
+    for bits in range(56, -1, -1):
         value = ((state[LOW] + (1 << bits) - 1) >> bits) << bits
         if value < state[LOW] + state[RANGE]:
             state[LOW] = value
             break
-    for _ in range(5):
-        _shift(state, data)
+    for _ in range(3):
+        _put(state, data)
     n = least = state[POSITION]
     while n > 0 and n > least - SPARED and data[n - 1] == 0:
         n -= 1
@@ -66,169 +61,176 @@ def finish(state, data):
 
 
 @borrowing
-def _next_byte(state, data):
-    """The next byte, 0 after the end. `position` runs on, so that one can see how far beyond it went."""
+def _put(state, data):
+    """Moves the top three bytes of low out; a carry runs through those that are out already."""
+    low, position = state[LOW], state[POSITION]
+    if low >= _WHOLE:
+        k = position - 1
+        while data[k] == 255:
+            data[k] = 0
+            k -= 1
+        data[k] += 1
+    if position + 3 <= len(data):
+        data[position] = (low >> 48) & 255
+        data[position + 1] = (low >> 40) & 255
+        data[position + 2] = (low >> 32) & 255
+    state[POSITION] = position + 3
+    state[LOW] = (low & (_LEAST - 1)) << 24
+
+
+@borrowing
+def _take(state, data, count):
+    """The next bytes, 0 after the end. `position` runs on, so that one can see how far beyond it went."""
     position = state[POSITION]
-    state[POSITION] = position + 1
-    return np.int64(data[position]) if position < len(data) else np.int64(0)
+    for k in range(position, position + count):
+        state[LOW] = (state[LOW] << 8) | (np.int64(data[k]) if k < len(data) else 0)
+    state[POSITION] = position + count
 
 
 @borrowing
-def _shift(state, data):
-    """Moves the top byte of low out; bytes of 255 wait until it is known whether a carry runs through them."""
-    low = state[LOW]
-    if low < 0xFF000000 or low > _ALL:
-        carry = low >> 32
-        _put(state, data, state[CACHE] + carry)
-        while state[PENDING] > 0:
-            _put(state, data, 255 + carry)
-            state[PENDING] -= 1
-        state[PENDING] = 0
-        state[CACHE] = (low >> 24) & 255
-    else:
-        state[PENDING] += 1
-    state[LOW] = (low & 0xFFFFFF) << 8
-
-
-@borrowing
-def _put(state, data, byte):
-    if 0 <= state[POSITION] < len(data):
-        data[state[POSITION]] = byte & 255
-    state[POSITION] += 1
-
-
-@borrowing
-def _narrow(state, data, bound, bit):
-    """Codes a bit whose ones take the first `bound` of the range."""
+def _widen(state, data):
+    """After the range has become small."""
+    state[RANGE] <<= 24
     if state[DECODING]:
-        bit = 1 if state[LOW] < bound else 0
-        if bit:
-            state[RANGE] = bound
-        else:
-            state[LOW] -= bound
-            state[RANGE] -= bound
-        while state[RANGE] < _TOP:
-            state[LOW] = (state[LOW] << 8) | _next_byte(state, data)
-            state[RANGE] <<= 8
-        return bit
-    if bit:
-        state[RANGE] = bound
+        _take(state, data, 3)
     else:
-        state[LOW] += bound
-        state[RANGE] -= bound
-    while state[RANGE] < _TOP:
-        _shift(state, data)
-        state[RANGE] <<= 8
+        _put(state, data)
+
+
+@inlined
+def narrow(state, data, bound, bit):
+    """Codes a bit whose ones take the first `bound` of the range."""
+    whole, low = state[RANGE], state[LOW]
+    if state[DECODING]:
+        bit = 1 if low < bound else 0
+        state[LOW] = low if bit else low - bound
+    else:
+        state[LOW] = low if bit else low + bound
+    left = bound if bit else whole - bound
+    state[RANGE] = left
+    if left < _LEAST:
+        _widen(state, data)
     return bit
 
 
 @borrowing
 def code_bits(state, data, value, count):
-    """`count` bits of value >= 0, most significant first, each as likely as not."""
+    """`count` bits of value >= 0, up to 31, each as likely as not."""
     result = np.int64(0)
-    for k in range(count - 1, -1, -1):
-        result = 2 * result + _narrow(state, data, state[RANGE] >> 1, (value >> k) & 1)
+    while count > 0:
+        now = min(count, 16)
+        count -= now
+        share = state[RANGE] >> now
+        if state[DECODING]:
+            part = min(state[LOW] // share, (1 << now) - 1)
+            state[LOW] -= part * share
+        else:
+            part = (value >> count) & ((1 << now) - 1)
+            state[LOW] += part * share
+        state[RANGE] = share
+        if share < _LEAST:
+            _widen(state, data)
+        result = (result << now) | part
     return result
 
 
-@borrowing
-def code_bit(state, data, model, where, bit):
-    """A bit that three contexts predict; all three and their weights learn from it.
+@inlined
+def code_bit(state, data, model, where, node, bit):
+    """A bit that four contexts predict. where: four blocks of contexts, as block(...) makes them; node: which of each.
 
-    where: (a, b, c, row), three contexts and the row of weights, as indices into model.
+    Indices are unsigned, which spares the code for negative ones. A context of a frame that was made to mislead may
+    wrap around: it does so on both sides.
     """
-    a, b, c, row = where
-    ma, mb, mc = np.int64(model[a]), np.int64(model[b]), np.int64(model[c])
-    wa, wb, wc = np.int64(model[row]), np.int64(model[row + 1]), np.int64(model[row + 2])
-    sa, sb, sc = np.int64(STRETCH[ma >> 12]), np.int64(STRETCH[mb >> 12]), np.int64(STRETCH[mc >> 12])
-    dot = (wa * sa + wb * sb + wc * sc) >> 16
-    p = np.int64(SQUASH[min(max(dot, -2047), 2047) + 2048])
-    p = min(max(p, _LEAST), 65536 - _LEAST)
-    bit = _narrow(state, data, (state[RANGE] >> 16) * p, bit)
-
-    error = ((bit << 16) - p) * _LEARNING
-    model[row] = min(max(wa + ((sa * error) >> 16), -_HEAVIEST), _HEAVIEST)
-    model[row + 1] = min(max(wb + ((sb * error) >> 16), -_HEAVIEST), _HEAVIEST)
-    model[row + 2] = min(max(wc + ((sc * error) >> 16), -_HEAVIEST), _HEAVIEST)
-    model[a] = _learn(ma, bit)
-    model[b] = _learn(mb, bit)
-    model[c] = _learn(mc, bit)
+    a, b, c, d = where
+    a, b, c, d = np.uint64(a + node), np.uint64(b + node), np.uint64(c + node), np.uint64(d + node)
+    of_a, of_b, of_c, of_d = np.int64(model[a]), np.int64(model[b]), np.int64(model[c]), np.int64(model[d])
+    odds = ((of_a >> 6) + (of_b >> 6) + (of_c >> 6) + (of_d >> 6)) >> 8
+    chance = np.int64(SQUASH[(min(max(odds, -2047), 2047) + 2048) & 4095])
+    bit = narrow(state, data, (state[RANGE] >> 16) * chance, bit)
+    error = (bit << 16) - chance
+    model[a] = _learnt(of_a, error)
+    model[b] = _learnt(of_b, error)
+    model[c] = _learnt(of_c, error)
+    model[d] = _learnt(of_d, error)
     return bit
 
 
-@borrowing
-def _learn(context, bit):
-    """A context after a bit: the more it has met, the less it moves, down to 1 / 61.5."""
-    chance, seen = context >> 8, context & 255
-    chance += ((65535 * bit - chance) * np.int64(RATE[seen])) >> 16
-    return (chance << 8) | min(seen + 1, _LIMIT)
+@inlined
+def _learnt(context, error):
+    """A context after an error, 2^-16: the more it has met, the less it moves."""
+    met = context & 63
+    return (((context >> 6) + ((error * np.int64(RATE[met])) >> 16)) << 6) | min(met + 1, _MET)
 
 
-@borrowing
-def bit_length(x):
-    """Bits of x >= 0."""
-    n = 0
-    while x > 0:
-        x >>= 1
-        n += 1
-    return n
-
-
-@borrowing
+@inlined
 def level(x):
-    """Size of x >= 0 as a context: 0, 1, then two levels an octave."""
-    if x <= 1:
-        return max(x, 0)
-    e = bit_length(x) - 1
-    return 2 * e + ((x >> (e - 1)) & 1)
+    """Size of x as a context: 0 up to 0, then 1, then two levels an octave, up to 43."""
+    x = max(x, 0)
+    return np.int64(LEVEL[x & 4095]) if x < 4096 else 20 + np.int64(LEVEL[min(x >> 10, 4095)])
+
+
+@inlined
+def bits_of(x):
+    """Bits that x takes, as a guess for code_number: 1 to 12."""
+    return min(max((level(x) >> 1) + 1, 1), MOST_GUESSED)
 
 
 @borrowing
-def code_number(state, data, model, where, value, signed):
-    """An integer below 2^30 in size: zero, sign, exponent, two bits of mantissa in context, the rest as they are.
+def code_number(state, data, model, where, value, signed, guess, modelled):
+    """An integer below 2^30 in size: its bits, from as many as guessed (1 to MOST_GUESSED) up or down; its sign.
 
-    where: (a, b, c, row), the first of BLOCK contexts each and of ROWS weights each, as block(...) makes them.
+    Of the bits after the first, `modelled` (0 to 2) are in context, the others as they are.
     """
-    size = abs(value)
-    if not code_bit(state, data, model, where, 1 if size > 0 else 0):
-        return np.int64(0)
-    negative = code_bit(state, data, model, _beside(where, 1, 1), 1 if value < 0 else 0) if signed else 0
-    length, e = bit_length(size) - 1, 0
-    while e < _LONGEST - 1:
-        if not code_bit(state, data, model, _beside(where, 2 + e, 2 + min(e, 3)), 1 if length > e else 0):
+    size, k = abs(value), guess
+    first = more = code_bit(state, data, model, where, _GUESS + k, 1 if size >> (k - 1) else 0)
+    while more == first:
+        k += 1 if first else -1
+        if k == 0 or k > _LONGEST:
             break
-        e += 1
-    result = np.int64(1)
-    if e >= 1:
-        result = 2 + code_bit(state, data, model, _beside(where, 31 + e, 6), (size >> (e - 1)) & 1)
-    if e >= 2:
-        k = 60 + 2 * min(e, 16) + (result & 1)
-        result = 2 * result + code_bit(state, data, model, _beside(where, k, 7), (size >> (e - 2)) & 1)
-    if e >= 3:
-        rest = code_bits(state, data, size & ((1 << (e - 2)) - 1), e - 2)
-        result = (result << (e - 2)) | rest
+        node = _FROM_BELOW + min(k, 16) if first else _FROM_ABOVE + k
+        more = code_bit(state, data, model, where, node, 1 if size >> (k - 1) else 0)
+    if first:
+        k -= 1
+    if k == 0:
+        return np.int64(0)
+
+    negative = code_bit(state, data, model, where, _SIGN, 1 if value < 0 else 0) if signed else np.int64(0)
+    result, left = np.int64(1), k - 1
+    if modelled > 0 and left > 0:
+        left -= 1
+        result = 2 + code_bit(state, data, model, where, _SECOND + min(k, 9), (size >> left) & 1)
+    if modelled > 1 and left > 0:
+        left -= 1
+        node = _THIRD + 2 * min(k, 9) + (result & 1)
+        result = 2 * result + code_bit(state, data, model, where, node, (size >> left) & 1)
+    if left > 0:
+        result = (result << left) | code_bits(state, data, size & ((1 << left) - 1), left)
     return -result if negative else result
 
 
-@borrowing
-def block(a, b, c, kind):
-    """Where numbers of a kind live: the start of three blocks of contexts and of the kind's rows of weights."""
-    return WEIGHTS + a * BLOCK, WEIGHTS + b * BLOCK, WEIGHTS + c * BLOCK, kind * 3 * ROWS
+@inlined
+def block(a, b, c, d):
+    """Where numbers of a kind live: the starts of four blocks of contexts."""
+    return a * BLOCK, b * BLOCK, c * BLOCK, d * BLOCK
 
 
 @borrowing
-def _beside(where, context, row):
-    a, b, c, w = where
-    return a + context, b + context, c + context, w + 3 * row
+def code_flag(state, data, model, where, bit):
+    """A bit in contexts of its own."""
+    return code_bit(state, data, model, where, 0, bit)
 
 
 @borrowing
-def code_numbers(state, data, model, context, kind, values):
-    """values (N,) int64, signed, each in the same contexts, sharper after small ones; filled while decoding."""
-    before = 0
+def code_numbers(state, data, model, context, values):
+    """values (N,) int64, signed, each in the same contexts, sharper after small ones; filled while decoding.
+
+    context: the first of ten blocks.
+    """
+    before = np.int64(0)
     for i in range(len(values)):
         beside = context + 1 + min(level(before), 8)
-        values[i] = code_number(state, data, model, block(context, beside, beside, kind), values[i], True)
+        where = block(context, beside, beside, context)
+        values[i] = code_number(state, data, model, where, values[i], True, 1, 2)
         before = abs(values[i])
 
 

@@ -5,9 +5,63 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from splitslam.codec._coder_kernels import block, code_number
+from splitslam.codec._jit import borrowing
+
 FASTMATH = {"contract", "arcp", "nsz"}
 
-COARSE = 10  # a residual stands for so many units: knots are coded to +-5 of them
+# Units of the grid. Residuals are ten of them: a knot is off by at most 5e-6 rad and 0.1 mm, 0.15 mm each at 30 m.
+ROTATION_UNIT_RAD = 1e-6
+TRANSLATION_UNIT_M = 2e-5
+COARSE = 10
+TIME_UNIT_NS = 1_000
+LIMIT = 1 << 28
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def to_units(rotation, translation_m, values):
+    """values (K, 6) int64: rotation vectors and translations (K, 3) in whole units; False: not finite or too far."""
+    for k in range(len(values)):
+        for e in range(6):
+            x = rotation[k, e] / ROTATION_UNIT_RAD if e < 3 else translation_m[k, e - 3] / TRANSLATION_UNIT_M
+            if not abs(x) < LIMIT:
+                return False
+            values[k, e] = round(x)
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def from_units(values, rotation, translation_m):
+    """The inverse of to_units."""
+    for k in range(len(values)):
+        for e in range(3):
+            if max(abs(values[k, e]), abs(values[k, 3 + e])) >= LIMIT:
+                return False
+            rotation[k, e] = values[k, e] * ROTATION_UNIT_RAD
+            translation_m[k, e] = values[k, 3 + e] * TRANSLATION_UNIT_M
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def _even_time(times, k):
+    last = len(times) - 1
+    return times[0] + (times[last] - times[0]) * k // last
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def are_even(times):
+    """Whether times (K,) are evenly spaced."""
+    off = 0
+    for k in range(len(times)):
+        off += times[k] != _even_time(times, k)
+    return off == 0
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def fill_evenly(times):
+    """times (K,) between the first and the last, evenly spaced."""
+    for k in range(1, len(times) - 1):
+        times[k] = _even_time(times, k)
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -62,3 +116,25 @@ def continue_rate(times, values, residuals, decoding):
                 expected += ((values[k - 1, e] - values[k - 2, e]) * step) // before
             residuals[n] = _settle(values, k, e, expected, residuals[n], decoding)
             n += 1
+
+
+@borrowing
+def code_times(state, data, model, context, times, even):
+    """times (K,) int64, ns: as second differences in whole units; of even ones the first and the last. False: they do
+    not increase, or are beyond 18 minutes.
+    """
+    last = len(times) - 1
+    time, step = np.int64(0), np.int64(0)
+    for k in range(len(times)):
+        if not even or k == 0 or k == last:
+            change = times[k] // TIME_UNIT_NS - time - step
+            where = block(context, context + 1, context + 2, context)
+            step += code_number(state, data, model, where, change, True, 1, 2)
+            time += step
+            times[k] = time * TIME_UNIT_NS
+    if even:
+        fill_evenly(times)
+    for k in range(1, len(times)):
+        if times[k] <= times[k - 1]:
+            return False
+    return max(abs(times[0]), abs(times[last])) <= 1 << 40

@@ -1,16 +1,16 @@
 """Kernels that model the points of a frame: what is expected of each from its ring, and from the ring below.
 
-For every ring pass how many points it has, then for every point its class, the columns since the last one, the
-correction of its time, its three coordinates in steps and its intensity. Encoding and decoding run the same code on
-the same integers.
+For every ring pass how many points it has, then for every point the columns since the last one, the correction of its
+time, its range, its class, the two other coordinates in steps and its intensity. Encoding and decoding run the same
+code on the same integers.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from splitslam.codec._coder_kernels import block, code_bit, code_number, level
-from splitslam.codec._jit import borrowing
+from splitslam.codec._coder_kernels import bits_of, block, code_flag, code_number, level
+from splitslam.codec._jit import borrowing, inlined
 
 TIME_UNIT_NS = 40_000
 TURN = 1 << 20  # a column, in units of the lattice's phase
@@ -23,35 +23,59 @@ CLASS, COLUMN, LATE, ALONG, ACROSS, UP, INTENSITY = range(7)
 # columns a column; width of a column, 2^-20 rad; whether intensity is coded
 COLUMNS, RATE, LATTICE, DRIFT, WIDTH, SHADES = range(6)
 # `now`, what is known while the points pass
-_N, _GAP, _GAP_BEFORE, _LATE, _LATE_BEFORE, _LATE_AT, _U, _U_BEFORE, _REST, _RATIO = range(10)
-_ERROR, _USUAL, _BELOW, _BELOW_END, _UNDER, _NEAR, _NEAR_SHADE = 10, 13, 16, 17, 18, 19, 20
-_PHASE, _PHASE_START, _COLUMN_START, _ACROSS_SIZE, _UP_SIZE = range(21, 26)
-NOW = 26
+_N, _GAP, _GAP_BEFORE, _GAP_BITS, _LATE, _LATE_BEFORE, _LATE_AT, _U, _U_BEFORE, _REST, _RATIO = range(11)
+_ERROR, _USUAL, _BELOW, _BELOW_END, _UNDER, _NEAR, _NEAR_CLASS, _NEAR_SHADE = 11, 14, 17, 18, 19, 20, 21, 22
+_PHASE, _PHASE_START, _COLUMN_START, _ACROSS_SIZE, _UP_SIZE, _BEFORE = range(23, 29)
+NOW = 29
 
-# blocks of contexts and kinds of numbers; those before belong to what all points share
-_B_COUNT, _B_BIT, _B_LATE, _B_GAP, _B_ALONG, _B_ACROSS, _B_UP, _B_SHADE, BLOCKS = (
-    40,
-    44,
-    45,
+# first blocks of contexts of each kind of number: one for all of the kind, then those of its three contexts; those
+# before belong to what all points share
+_COUNT, _SEAM, _LATE_BY, _GAPS, _RANGE, _CORNER, _AZIMUTH, _ELEVATION, _SHADE, BLOCKS = (
     50,
-    130,
-    330,
-    390,
-    430,
-    470,
+    54,
+    63,
+    67,
+    170,
+    393,
+    458,
+    521,
+    559,
+    608,
 )
-_K_COUNT, _K_BIT, _K_SEAM, _K_LATE, _K_GAP, _K_ALONG, _K_ACROSS, _K_UP, _K_SHADE = range(4, 13)
+_WEIGHT = (65536 * 1024 // (4 * np.arange(1024, dtype=np.int64) + 10) ** 2).astype(np.int32)
 
 
 @borrowing
 def code_counts(state, data, model, counts):
-    """counts (rings,) int64: points of each ring, as differences to the ring before."""
-    before, change = 0, 0
+    """counts (rings,) int64: points of each ring, as differences to the ring before.
+
+    Returns their sum, or -1 when one is below 0.
+    """
+    before, change, total = np.int64(0), np.int64(0), np.int64(0)
     for r in range(len(counts)):
-        beside = _B_COUNT + 1 + min(level(abs(change)) >> 2, 2)
-        change = code_number(state, data, model, block(_B_COUNT, beside, beside, _K_COUNT), counts[r] - before, True)
+        beside = _COUNT + 1 + min(level(abs(change)) >> 2, 2)
+        where = block(beside, beside, beside, _COUNT)
+        change = code_number(state, data, model, where, counts[r] - before, True, bits_of(abs(change)), 2)
         before += change
+        if before < 0:
+            return -1
         counts[r] = before
+        total += before
+    return total
+
+
+@borrowing
+def code_lines(state, data, model, offsets, slopes, lines):
+    """lines (rings, 2) int64: as differences to the ring before. offsets, slopes: where their contexts begin."""
+    for part in range(2):
+        before, change = np.int64(0), np.int64(0)
+        for r in range(len(lines)):
+            first = offsets if part == 0 else slopes
+            beside = first + 1 + min(level(abs(change)), 8)
+            where = block(first, beside, beside, first)
+            change = code_number(state, data, model, where, lines[r, part] - before, True, 1, 2)
+            before = min(max(before + change, -(1 << 24)), 1 << 24)
+            lines[r, part] = before
 
 
 @borrowing
@@ -62,7 +86,7 @@ def code_points(state, data, model, counts, scales, lines, points, now):
     slope (2^-14) of UP against ALONG. now (NOW,) int64: scratch.
     """
     now[:] = 0
-    now[_LATE_AT] = -(1 << 20)
+    now[_LATE_AT], now[_GAP_BITS] = -(1 << 20), 32
     now[_USUAL : _USUAL + 3] = 64
     i = 0
     for r in range(len(counts)):
@@ -70,12 +94,13 @@ def code_points(state, data, model, counts, scales, lines, points, now):
         first, column = i, np.int64(0)
         for n in range(counts[r]):
             now[_N] = n
-            _code_class(state, data, model, points, i, now)
+            now[_BEFORE] = np.int64(points[CLASS, i - 1]) if n > 0 else 0
             column = _code_column(state, data, model, scales, points, i, now)
             if column >= scales[COLUMNS] or not _code_late(state, data, model, points, i, now):
                 return False
             _look_below(points, column, now)
             _code_along(state, data, model, points, i, now)
+            _code_class(state, data, model, points, i, now)
             _code_across(state, data, model, scales, points, i, now)
             _code_up(state, data, model, lines[r], points, i, now)
             if max(abs(points[ALONG, i]), max(abs(points[ACROSS, i]), abs(points[UP, i]))) > LARGEST:
@@ -99,23 +124,19 @@ def _enter_ring(now):
 
 
 @borrowing
-def _code_class(state, data, model, points, i, now):
-    before = np.int64(points[CLASS, i - 1]) if now[_N] > 0 else 0
-    twice = before + 2 * np.int64(points[CLASS, i - 2]) if now[_N] > 1 else before
-    a, b, c, row = block(_B_BIT, _B_BIT, _B_BIT, _K_BIT)
-    points[CLASS, i] = code_bit(state, data, model, (a + before, b + 2 + twice, c + 6, row), np.int64(points[CLASS, i]))
-
-
-@borrowing
 def _code_column(state, data, model, scales, points, i, now):
     """As columns since the last point: thinning leaves a certain distance in metres, so the range says how many."""
-    before = np.int64(points[COLUMN, i - 1]) if now[_N] > 0 else np.int64(0)
-    under = now[_UNDER]
+    n, under = now[_N], now[_UNDER]
+    before = np.int64(points[COLUMN, i - 1]) if n > 0 else np.int64(0)
     spacing = points[COLUMN, under + 1] - points[COLUMN, under] if under + 1 < now[_BELOW_END] else 0
-    a = _B_GAP + min(level(now[_GAP]), 23)
-    b = _B_GAP + 24 + min(level((max(now[_U], 0) * scales[WIDTH]) >> 14), 29)
-    c = _B_GAP + 54 + min(level(spacing), 23)
-    gap = code_number(state, data, model, block(a, b, c, _K_GAP), points[COLUMN, i] - before, False)
+    a = _GAPS + 1 + 24 * now[_BEFORE] + min(level(now[_GAP]), 23)
+    b = _GAPS + 49 + min(level((now[_U] * scales[WIDTH]) >> 14), 29)
+    c = _GAPS + 79 + min(level(spacing), 23)
+    guess = min(max((now[_GAP_BITS] + 8) >> 4, 1), 12)
+    where, gap = block(a, b, c, _GAPS), points[COLUMN, i] - before
+    gap = code_number(state, data, model, where, gap, False, guess, 2)
+    if n > 0:
+        now[_GAP_BITS] += ((bits_of(gap) << 4) - now[_GAP_BITS]) >> 2
     now[_GAP_BEFORE], now[_GAP] = now[_GAP], gap
     column = before + gap
     points[COLUMN, i] = min(column, 65535)
@@ -127,11 +148,11 @@ def _code_late(state, data, model, points, i, now):
     """The correction of the time. Where a scan begins and ends the same jump occurs in every ring."""
     column = points[COLUMN, i]
     seam = 1 if column - now[_GAP] <= now[_LATE_AT] + 2 and column >= now[_LATE_AT] - 2 else 0
-    a, b, c, row = block(_B_BIT, _B_BIT, _B_BIT, _K_SEAM)
-    late = np.int64(points[LATE, i])
-    if code_bit(state, data, model, (a + 8 + seam, b + 10 + seam, c + 12 + seam, row), 1 if late != 0 else 0):
-        where = block(_B_LATE, _B_LATE + 1, _B_LATE + 2, _K_LATE)
-        late = now[_LATE_BEFORE] + code_number(state, data, model, where, late - now[_LATE_BEFORE], True)
+    late, goes_on = np.int64(points[LATE, i]), 1 if now[_LATE] != 0 else 0
+    where = block(_SEAM + 1 + seam, _SEAM + 3 + seam + 2 * goes_on, _SEAM + 7 + goes_on, _SEAM)
+    if code_flag(state, data, model, where, 1 if late != 0 else 0):
+        where, expected = block(_LATE_BY + 1, _LATE_BY + 2, _LATE_BY + 3, _LATE_BY), now[_LATE_BEFORE]
+        late = expected + code_number(state, data, model, where, late - expected, True, 1, 2)
         now[_LATE_AT], now[_LATE_BEFORE] = column, late
     else:
         late = np.int64(0)
@@ -141,26 +162,26 @@ def _code_late(state, data, model, points, i, now):
 
 @borrowing
 def _look_below(points, column, now):
-    """Range and intensity of the ring below at a column: of the nearest point, or between two on one surface."""
+    """Range, class and intensity of the ring below at a column: of the nearest point, or between two on one surface."""
     end, under = now[_BELOW_END], now[_UNDER]
     if end == now[_BELOW]:
-        now[_NEAR], now[_NEAR_SHADE] = now[_U], 8
+        now[_NEAR], now[_NEAR_CLASS], now[_NEAR_SHADE] = now[_U], 0, 8
         return
     while under + 1 < end and points[COLUMN, under + 1] <= column:
         under += 1
     now[_UNDER] = under
-    u, shade = np.int64(points[ALONG, under]), np.int64(points[INTENSITY, under])
+    u, nearest = np.int64(points[ALONG, under]), under
     left = column - points[COLUMN, under]
     if left > 0 and under + 1 < end:
         right = points[COLUMN, under + 1] - column
         next_u = np.int64(points[ALONG, under + 1])
         if right < left:
-            shade = np.int64(points[INTENSITY, under + 1])
+            nearest = under + 1
         if abs(next_u - u) < (u >> 3):
             u = (u * right + next_u * left) // (left + right)
         elif right < left:
             u = next_u
-    now[_NEAR], now[_NEAR_SHADE] = u, shade
+    now[_NEAR], now[_NEAR_CLASS], now[_NEAR_SHADE] = u, points[CLASS, nearest], points[INTENSITY, nearest]
 
 
 @borrowing
@@ -180,10 +201,11 @@ def _code_along(state, data, model, points, i, now):
 
     least = min(now[_ERROR], min(now[_ERROR + 1], now[_ERROR + 2]))
     apart = min(level(abs(p2 - expected)), 19)
-    a = _B_ALONG + min(level(least >> 3), 19) * 6 + min(level(gap) >> 1, 5)
-    b = _B_ALONG + 120 + (20 + apart if p2 > expected else 20 - apart)
-    c = _B_ALONG + 160 + min(level(now[_REST]), 30)
-    rest = code_number(state, data, model, block(a, b, c, _K_ALONG), points[ALONG, i] - expected, True)
+    a = _RANGE + 1 + min(level(least >> 3), 19) * 6 + min(level(gap) >> 1, 5)
+    b = _RANGE + 121 + (20 + apart if p2 > expected else 20 - apart)
+    c = _RANGE + 161 + 31 * now[_BEFORE] + min(level(now[_REST]), 30)
+    where, rest = block(a, b, c, _RANGE), points[ALONG, i] - expected
+    rest = code_number(state, data, model, where, rest, True, bits_of(least >> 4), 0)
     now[_U_BEFORE], now[_U], now[_REST] = u, expected + rest, abs(rest)
     u = now[_U]
     points[ALONG, i] = min(max(u, -LARGEST - 1), LARGEST + 1)
@@ -196,16 +218,27 @@ def _code_along(state, data, model, points, i, now):
         now[_RATIO] += change >> (1 if abs(change) < 600 else 2)
 
 
-@borrowing
+@inlined
 def _weight(error):
-    return (1 << 30) // ((error + 8) * (error + 8))
+    return np.int64(_WEIGHT[(error >> 2) & 1023])
 
 
 @borrowing
 def _judge(now, guess, error):
     """The running error of a guess, in sixteenths of a step."""
     e = now[_ERROR + guess]
-    now[_ERROR + guess] = min(e + (((abs(error) << 4) - e) >> 2), 1 << 12)
+    now[_ERROR + guess] = min(e + (((abs(error) << 4) - e) >> 2), 4095)
+
+
+@borrowing
+def _code_class(state, data, model, points, i, now):
+    """1 for a corner. Its range is not what was expected, and below it is another."""
+    n, before = now[_N], now[_BEFORE]
+    twice = before + 2 * np.int64(points[CLASS, i - 2]) if n > 1 else before
+    a = _CORNER + 1 + twice
+    b = _CORNER + 5 + min(level(now[_REST]), 19) + 20 * now[_NEAR_CLASS]
+    c = _CORNER + 45 + min(level(now[_GAP]), 19)
+    points[CLASS, i] = code_flag(state, data, model, block(a, b, c, _CORNER), np.int64(points[CLASS, i]))
 
 
 @borrowing
@@ -216,10 +249,11 @@ def _code_across(state, data, model, scales, points, i, now):
     if scales[LATTICE]:
         _advance(points[COLUMN, i], scales, now)
         expected = ((now[_PHASE] >> 4) * width + (1 << 35)) >> 36
-    a = _B_ACROSS + min(level(max(width, 0) >> 18), 29)
-    b = _B_ACROSS + 30 + min(level(now[_ACROSS_SIZE]), 19)
-    where = block(a, b, _B_ACROSS + 50, _K_ACROSS)
-    rest = code_number(state, data, model, where, points[ACROSS, i] - expected, True)
+    a = _AZIMUTH + 1 + min(level(width >> 18), 29)
+    b = _AZIMUTH + 31 + min(level(now[_ACROSS_SIZE]), 19)
+    c = _AZIMUTH + 51 + min(level(now[_GAP]) >> 1, 11)
+    where, rest = block(a, b, c, _AZIMUTH), points[ACROSS, i] - expected
+    rest = code_number(state, data, model, where, rest, True, bits_of(now[_ACROSS_SIZE] >> 1), 2)
     v = expected + rest
     points[ACROSS, i] = min(max(v, -LARGEST - 1), LARGEST + 1)
     now[_ACROSS_SIZE] = (now[_ACROSS_SIZE] + 2 * abs(rest) + 1) >> 1
@@ -248,9 +282,11 @@ def _code_up(state, data, model, line, points, i, now):
     """The elevation: a line in the range, which is what a beam that does not start in the origin looks like."""
     u = now[_U]
     expected = ((line[0] << 12) + line[1] * u + (1 << 13)) >> 14
-    a = _B_UP + min(level(now[_UP_SIZE]), 14)
-    b = _B_UP + 15 + min(level(abs(u)) >> 1, 19)
-    rest = code_number(state, data, model, block(a, b, _B_UP + 35, _K_UP), points[UP, i] - expected, True)
+    a = _ELEVATION + 1 + min(level(now[_UP_SIZE]), 14)
+    b = _ELEVATION + 16 + min(level(abs(u)) >> 1, 19)
+    c = _ELEVATION + 36 + np.int64(points[CLASS, i])
+    where, rest = block(a, b, c, _ELEVATION), points[UP, i] - expected
+    rest = code_number(state, data, model, where, rest, True, bits_of(now[_UP_SIZE] >> 1), 2)
     now[_UP_SIZE] = (now[_UP_SIZE] + 2 * abs(rest) + 1) >> 1
     points[UP, i] = min(max(expected + rest, -LARGEST - 1), LARGEST + 1)
 
@@ -259,9 +295,10 @@ def _code_up(state, data, model, line, points, i, now):
 def _code_shade(state, data, model, points, i, now):
     """The intensity, 0 to 15; False when it is not."""
     shade, near = np.int64(points[INTENSITY, i - 1]) if now[_N] > 0 else np.int64(8), now[_NEAR_SHADE]
-    a = _B_SHADE + shade
-    b = _B_SHADE + 16 + min(abs(near - shade), 7) + (8 if near < shade else 0)
-    where = block(a, b, _B_SHADE + 32, _K_SHADE)
-    shade += code_number(state, data, model, where, points[INTENSITY, i] - shade, True)
+    a = _SHADE + 1 + shade
+    b = _SHADE + 17 + min(abs(near - shade), 7) + (8 if near < shade else 0)
+    c = _SHADE + 33 + min(level(now[_REST]) >> 1, 7) + 8 * np.int64(points[CLASS, i])
+    where, change = block(a, b, c, _SHADE), points[INTENSITY, i] - shade
+    shade += code_number(state, data, model, where, change, True, 1, 2)
     points[INTENSITY, i] = min(max(shade, 0), 15)
     return 0 <= shade <= 15

@@ -10,7 +10,7 @@ from splitslam.codec._point_kernels import BLOCKS
 from splitslam.codec.limits import DecodeError
 
 Integers = NDArray[np.int64]
-KNOTS, MOTION, OFFSETS, SLOPES = range(0, 40, 10)  # contexts of `numbers`, in blocks of kernels.BLOCK
+KNOTS, MOTION, OFFSETS, SLOPES, TIMES = range(0, 50, 10)  # where their contexts begin, in blocks of kernels.BLOCK
 
 
 class Coder:
@@ -22,19 +22,18 @@ class Coder:
     def __init__(self, data: NDArray[np.uint8], decoding: bool) -> None:
         self.decoding = decoding
         self._data = data
-        model = np.empty(kernels.WEIGHTS + BLOCKS * kernels.BLOCK, np.int32)
-        self.arrays = np.empty(6, np.int64), data, model
+        model = np.empty(BLOCKS * kernels.BLOCK, np.int32)
+        self.arrays = np.empty(kernels.STATE, np.int64), data, model
         kernels.start(*self.arrays, decoding)
 
-    def fields(self, values: list[int], widths: tuple[int, ...]) -> list[int]:
-        """Unsigned numbers of so many bits, all equally likely."""
-        array = np.array(values, np.int64)
-        kernels.code_fields(*self.arrays[:2], array, np.array(widths, np.int64))
-        return array.tolist()
+    def fields(self, values: Integers, widths: tuple[int, ...]) -> Integers:
+        """Unsigned numbers of so many bits, all equally likely; filled in place while decoding."""
+        kernels.code_fields(*self.arrays[:2], values, np.array(widths, np.int64))
+        return values
 
-    def numbers(self, values: Integers, context: int = MOTION) -> Integers:
+    def numbers(self, values: Integers, context: int) -> Integers:
         """Signed numbers that are small more often than not; filled in place while decoding."""
-        kernels.code_numbers(*self.arrays, context, context // 10, values)
+        kernels.code_numbers(*self.arrays, context, values)
         return values
 
     def close(self) -> bytes:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitslam.codec import _beam_kernels as kernels
+from splitslam.codec import _lattice_kernels as kernels
 from splitslam.codec._point_kernels import TURN
 
-_LONGEST = 1024  # columns between two points that are compared
-_BINS = 4096
+_LONGEST = 256  # columns between two points that are compared
+_BINS = 1024
 _COHERENT = 0.45
 
 
@@ -21,15 +21,12 @@ def find_drift(
     fractions (N,): azimuth within the column, rad. A firing every 0.199 degrees in columns of 0.2 degrees moves by
     -0.005 columns a column; whole columns do not show. It is the frequency at which steps between neighbours add up.
     """
-    sums = np.zeros(_LONGEST, np.complex128)
+    sums, parts = np.zeros(_LONGEST, np.complex128), np.empty(_BINS, np.complex128)
     pairs = kernels.phase_steps(counts, points, fractions, 2.0 * np.pi / columns, sums)
     if pairs == 0:
         return None
-    spectrum = np.fft.fft(sums, _BINS).real
-    peak = int(np.argmax(spectrum))
-    if spectrum[peak] < _COHERENT * pairs:
+    kernels.spectrum(sums, parts)
+    place, size = kernels.strongest(parts)
+    if size < _COHERENT * pairs:
         return None
-    left, here, right = spectrum[peak - 1], spectrum[peak], spectrum[(peak + 1) % _BINS]
-    bend = left - 2.0 * here + right
-    place = (peak + (0.5 * (left - right) / bend if bend < 0 else 0.0)) / _BINS
     return round((place - round(place)) * TURN)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 _ONE = 1 << 60
 _STEPS = 256  # of the logistic domain to one unit of it
+_LEAST = 48  # of 65536: no bit is ever certain
 
 
 def _powers_of_e() -> list[int]:
@@ -21,17 +22,14 @@ def _powers_of_e() -> list[int]:
     return powers
 
 
-def _tables() -> tuple[NDArray[np.int32], NDArray[np.int16]]:
-    powers = _powers_of_e()
-    upper = [(65536 * p + (p + _ONE) // 2) // (p + _ONE) for p in powers]
-    squash = np.array([65536 - p for p in upper[:0:-1]] + upper, np.int64)
-    # the inverse at the middle of each of 4096 probabilities
-    stretch = np.searchsorted(squash, 16 * np.arange(4096) + 8).astype(np.int64) - 8 * _STEPS
-    return squash.astype(np.int32), np.clip(stretch, -2047, 2047).astype(np.int16)  # small, to stay in the cache
+def _squash() -> NDArray[np.int32]:
+    upper = [(65536 * p + (p + _ONE) // 2) // (p + _ONE) for p in _powers_of_e()]
+    chances = np.array([65536 - p for p in upper[:0:-1]] + upper, np.int32)
+    return np.clip(chances, _LEAST, 65536 - _LEAST)
 
 
-SQUASH, STRETCH = _tables()
-"""SQUASH[x + 2048]: 65536 / (1 + e^(-x / 256)); STRETCH[p >> 4]: its inverse for p of 65536."""
+SQUASH = _squash()
+"""SQUASH[x + 2048]: 65536 / (1 + e^(-x / 256)), within 48 of 0 and 65536; x from -2048 to 2048."""
 
-RATE = (2 * 65536 // (2 * np.arange(256) + 3)).astype(np.int32)
-"""RATE[n]: how far a probability moves towards what it met for the n-th time, 1 / (n + 1.5) of 65536."""
+RATE = (3 * 65536 // (8 + np.arange(64)) + 2_000).astype(np.int32)
+"""RATE[n]: how far the odds of a context that was met n times move by an error of one, 2^-16."""

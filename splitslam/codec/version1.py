@@ -21,6 +21,7 @@ from splitslam.codec.limits import MAX_POINTS, MAX_RINGS, DecodeError
 from splitslam.features import FeatureFrame, FeatureSet
 
 VERSION = 1
+_SEGMENT_NS = 400_000  # of the motion table that version 1 was made with
 _SIGNED = (False, True, True, True, True)  # rows of the residuals
 _PLANES = 2 + len(_SIGNED)
 _VELOCITY_KNOWN, _UNIFORM_KNOTS = 1, 2
@@ -101,7 +102,7 @@ def decode(
     points, column, t_offset_ns = np.empty((n, 3), np.float32), np.empty(n, np.uint16), np.empty(n, np.int32)
     directions = directions_of(columns, beam_elevations_rad, step_um)
     if not kernels.from_residuals(
-        residuals, ring, per_column, table_of(knots), directions, points, column, t_offset_ns
+        residuals, ring, per_column, table_of(knots, _SEGMENT_NS), directions, points, column, t_offset_ns
     ):
         raise DecodeError("corrupt", "a point outside of the image or of any range")
     everything = FeatureSet(points, ring, column, t_offset_ns, (classes & 15).astype(np.uint8) * np.uint8(17))

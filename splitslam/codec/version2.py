@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitslam.codec import _beam_kernels, _point_kernels
 from splitslam.codec.beams import Beams, measure, place
-from splitslam.codec.coder import OFFSETS, SLOPES, Coder
+from splitslam.codec.coder import MOTION, OFFSETS, SLOPES, Coder
 from splitslam.codec.lattice import find_drift
 from splitslam.codec.limits import MAX_COLUMNS, MAX_POINTS, MAX_RINGS, DecodeError
 from splitslam.codec.motion import code_motion
@@ -23,8 +23,9 @@ from splitslam.features import FeatureFrame
 
 VERSION = 2
 _CRC = struct.Struct("<I")
-# rings, columns, step um, rate and its sign, is there a lattice, drift, is intensity coded
-_SHARED = (9, 17, 20, 31, 1, 1, 21, 1)
+# rings, rate and its sign, is there a lattice, drift, is intensity coded
+_SHARED = (9, 31, 1, 1, 21, 1)
+_USUAL = np.array([1800, 20_000])  # columns, step um: a bit each where they are these
 _HALF_TURN = _point_kernels.TURN
 
 
@@ -42,13 +43,14 @@ def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], column
     _beam_kernels.fit_lines(beams.counts, beams.points, lines)
 
     coder = Coder(np.empty(8192 + 48 * n, np.uint8), decoding=False)
-    shared = [rings, columns, step_um, abs(beams.rate), int(beams.rate < 0)]
-    shared += [int(drift is not None), (drift or 0) + _HALF_TURN, int(frame.dense)]
+    lattice = drift is not None, (drift or 0) + _HALF_TURN
+    shared = np.array([rings, abs(beams.rate), beams.rate < 0, *lattice, frame.dense], np.int64)
     coder.fields(shared, _SHARED)
+    coder.numbers(np.array([columns, step_um]) - _USUAL, MOTION)
     code_motion(coder, frame.motion)
-    _point_kernels.code_counts(*coder.arrays, beams.counts.copy())
-    _code_lines(coder, lines)
-    if not _code_points(coder, beams, lines, shared):
+    _point_kernels.code_counts(*coder.arrays, beams.counts)
+    _point_kernels.code_lines(*coder.arrays, OFFSETS, SLOPES, lines)
+    if not _code_points(coder, beams, lines, columns, shared):
         raise ValueError("a time is too far from its neighbours'")
     body = bytes([VERSION]) + coder.close()
     return body + _CRC.pack(zlib.crc32(body))
@@ -63,39 +65,33 @@ def decode(
     ):
         raise DecodeError("corrupt", "checksum")
     coder = Coder(np.array(memoryview(payload)[1 : -_CRC.size], np.uint8), decoding=True)
-    shared = coder.fields([0] * len(_SHARED), _SHARED)
-    rings, columns, step_um, rate, negative = shared[:5]
+    shared = coder.fields(np.zeros(len(_SHARED), np.int64), _SHARED)
+    rings, rate, negative = shared[:3].tolist()
+    columns, step_um = (coder.numbers(np.zeros(2, np.int64), MOTION) + _USUAL).tolist()
     if rings != len(beam_elevations_rad) or not 0 < rings <= MAX_RINGS:
         raise DecodeError("corrupt", f"{rings} rings, expected {len(beam_elevations_rad)}")
-    if not 0 < columns <= MAX_COLUMNS or step_um == 0:
+    if not (0 < columns <= MAX_COLUMNS and 0 < step_um < 1 << 20):
         raise DecodeError("corrupt", f"{columns} columns, step {step_um} um")
     try:
         motion = code_motion(coder, None)
     except ValueError as error:
         raise DecodeError("corrupt", str(error)) from None
     counts, lines = np.zeros(rings, np.int64), np.zeros((rings, 2), np.int64)
-    _point_kernels.code_counts(*coder.arrays, counts)
-    if np.any(counts < 0) or int(counts.sum()) > MAX_POINTS:
-        raise DecodeError("corrupt", f"{counts.sum()} points, at most {MAX_POINTS}")
-    _code_lines(coder, lines)
-    points = np.zeros((7, int(counts.sum())), np.int32)
+    n = _point_kernels.code_counts(*coder.arrays, counts)
+    if not 0 <= n <= MAX_POINTS:
+        raise DecodeError("corrupt", f"{n} points, at most {MAX_POINTS}")
+    _point_kernels.code_lines(*coder.arrays, OFFSETS, SLOPES, lines)
+    points = np.zeros((7, n), np.int32)
     beams = Beams(counts, points, -rate if negative else rate, np.empty(0))
-    if not _code_points(coder, beams, lines, shared):
+    if not _code_points(coder, beams, lines, columns, shared):
         raise DecodeError("corrupt", "a point outside of the image or of any range")
     coder.close()
     corners, surfs = place(beams, motion.knots, beam_elevations_rad, columns, step_um)
     return FeatureFrame(seq, stamp_ns, dense, motion, corners, surfs)
 
 
-def _code_lines(coder: Coder, lines: NDArray[np.int64]) -> None:
-    """lines (rings, 2): as differences to the ring before."""
-    for part, context in ((0, OFFSETS), (1, SLOPES)):
-        steps = coder.numbers(np.diff(lines[:, part], prepend=0), context)
-        lines[:, part] = np.clip(np.cumsum(steps), -(1 << 24), 1 << 24)
-
-
-def _code_points(coder: Coder, beams: Beams, lines: NDArray[np.int64], shared: list[int]) -> bool:
-    _, columns, _, _, _, lattice, drift, with_intensity = shared
+def _code_points(coder: Coder, beams: Beams, lines: NDArray[np.int64], columns: int, shared: NDArray[np.int64]) -> bool:
+    lattice, drift, with_intensity = shared[3:].tolist()
     width = round(2.0 * np.pi / columns * (1 << 20))
     scales = np.array([columns, beams.rate, lattice, drift - _HALF_TURN, width, with_intensity], np.int64)
     now = np.empty(_point_kernels.NOW, np.int64)

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
 from splitslam import se3
-from splitslam.codec import _beam_kernels, _coder_kernels, _knot_kernels, _point_kernels, _version1_kernels
-from splitslam.codec._point_kernels import ACROSS, ALONG, COLUMN, LATE, UP
-from splitslam.codec.coder import Coder
-from splitslam.codec.logistic import SQUASH, STRETCH
-from splitslam.features import Knots
+from splitslam.codec import (
+    _beam_kernels,
+    _coder_kernels,
+    _knot_kernels,
+    _lattice_kernels,
+    _merge_kernels,
+    _motion_kernels,
+    _point_kernels,
+    _version1_kernels,
+)
+from splitslam.codec._point_kernels import ACROSS, ALONG, CLASS, COLUMN, INTENSITY, LATE, UP
+from splitslam.codec.coder import MOTION, OFFSETS, SLOPES, TIMES, Coder
+from splitslam.codec.logistic import RATE, SQUASH
+from splitslam.features import FeatureSet, Knots, Motion
 from splitslam.motion_table import motion_table
 from tests.codec.frames import COLUMNS, ELEVATIONS_RAD, feature_set, motion
 from tests.tolerances import CODEC_TIME_NS
@@ -24,17 +34,17 @@ class ExactCoder:
     """The range coder's arithmetic with one unbounded integer for `low`: no carry to look after."""
 
     def __init__(self) -> None:
-        self.low, self.range, self.shifts = 0, 2**32 - 1, 0
+        self.low, self.range, self.shifts = 0, 2**56, 0
 
     def narrow(self, bound: int, bit: int) -> None:
         if not bit:
             self.low += bound
         self.range = bound if bit else self.range - bound
-        while self.range < 2**24:
-            self.low, self.range, self.shifts = self.low << 8, self.range << 8, self.shifts + 1
+        while self.range < 2**32:
+            self.low, self.range, self.shifts = self.low << 24, self.range << 24, self.shifts + 1
 
     def interval(self) -> tuple[Fraction, Fraction]:
-        unit = Fraction(1, 2 ** (32 + 8 * self.shifts))
+        unit = Fraction(1, 2 ** (56 + 24 * self.shifts))
         return self.low * unit, (self.low + self.range) * unit
 
 
@@ -47,7 +57,7 @@ def test_the_bytes_name_a_number_within_the_exact_interval(one_in: int):
         state = Coder(data, False).arrays[0]
         for bit in (rng.integers(0, one_in, 1200) == 0).astype(int):
             bound = max(int(state[_coder_kernels.RANGE]) // one_in, 1)
-            _coder_kernels._narrow(state, data, bound, int(bit))
+            _coder_kernels.narrow(state, data, bound, int(bit))
             exact.narrow(bound, int(bit))
         size = _coder_kernels.finish(state, data)
         value = Fraction(int.from_bytes(data[:size].tobytes(), "big"), 256 ** int(size))
@@ -55,17 +65,17 @@ def test_the_bytes_name_a_number_within_the_exact_interval(one_in: int):
         assert low <= value < high
 
 
-def test_a_carry_goes_through_bytes_of_255_that_wait():
+def test_a_carry_goes_through_bytes_of_255_that_are_out():
     data = np.zeros(40, np.uint8)
     state = Coder(data, False).arrays[0]
-    state[_coder_kernels.LOW], state[_coder_kernels.RANGE] = 0xFFFFFF00, 0x200
-    for _ in range(3):
-        _coder_kernels._shift(state, data)
-        state[_coder_kernels.LOW] |= 0xFF000000
-    assert state[_coder_kernels.PENDING] > 0
-    state[_coder_kernels.LOW] = 1 << 32
-    size = _coder_kernels.finish(state, data)
-    assert 255 not in data[:size]
+    state[_coder_kernels.LOW] = 0x7FFFFF << 32
+    _coder_kernels._put(state, data)
+    state[_coder_kernels.LOW] = 0xFFFFFF << 32
+    _coder_kernels._put(state, data)
+    assert data[:6].tolist() == [127, 255, 255, 255, 255, 255]
+    state[_coder_kernels.LOW] = (1 << 56) + (3 << 32)
+    _coder_kernels._put(state, data)
+    assert data[:9].tolist() == [128, 0, 0, 0, 0, 0, 0, 0, 3]
 
 
 def test_numbers_of_every_size_come_back_and_common_ones_are_short():
@@ -81,37 +91,66 @@ def test_numbers_of_every_size_come_back_and_common_ones_are_short():
 
 def coded(values: np.ndarray) -> tuple[bytes, np.ndarray]:
     coder = Coder(np.zeros(100 + 16 * len(values), np.uint8), False)
-    coder.numbers(values.astype(np.int64))
+    coder.numbers(values.astype(np.int64), MOTION)
     data = coder.close()
     back = Coder(np.frombuffer(data, np.uint8).copy(), True)
-    result = back.numbers(np.zeros(len(values), np.int64))
+    result = back.numbers(np.zeros(len(values), np.int64), MOTION)
     back.close()
     return data, result
 
 
 def test_fields_are_the_bits_they_are():
+    values = np.array([5, 0, 2**31 - 1, 1, 2**40 - 3])
     coder = Coder(np.zeros(64, np.uint8), False)
-    coder.fields([5, 0, 2**31 - 1, 1], (3, 1, 31, 1))
+    coder.fields(values, (3, 1, 31, 1, 40))
     data = coder.close()
-    assert len(data) <= 6
-    assert Coder(np.frombuffer(data, np.uint8).copy(), True).fields([0] * 4, (3, 1, 31, 1)) == [5, 0, 2**31 - 1, 1]
+    assert len(data) <= 11
+    back = Coder(np.frombuffer(data, np.uint8).copy(), True)
+    assert back.fields(np.zeros(5, np.int64), (3, 1, 31, 1, 40)).tolist() == values.tolist()
 
 
-def test_the_tables_are_the_logistic_function_and_its_inverse():
+def test_a_guess_of_how_many_bits_changes_the_bytes_and_not_the_number():
+    rng = np.random.default_rng(2)
+    values = rng.integers(-(2**12), 2**12, 300) >> rng.integers(0, 12, 300)
+    guesses = rng.integers(1, _coder_kernels.MOST_GUESSED + 1, 300)
+    modelled = rng.integers(0, 3, 300)
+    coder, where = Coder(np.zeros(2000, np.uint8), False), _coder_kernels.block(0, 1, 2, 3)
+    for v, g, m in zip(values, guesses, modelled, strict=True):
+        assert _coder_kernels.code_number(*coder.arrays, where, v, True, g, m) == v
+    back = Coder(np.frombuffer(coder.close(), np.uint8).copy(), True)
+    for v, g, m in zip(values, guesses, modelled, strict=True):
+        assert _coder_kernels.code_number(*back.arrays, where, 0, True, g, m) == v
+
+
+def test_a_bit_costs_what_the_sum_of_its_contexts_says_and_each_learns_from_the_error():
+    """The naive twin: logistic regression in floating point, with the same rates."""
+    rng = np.random.default_rng(3)
+    coder = Coder(np.zeros(2000, np.uint8), False)
+    model, odds, met = coder.arrays[2], np.zeros(30), np.zeros(30, int)
+    for _ in range(3000):
+        contexts = rng.integers(0, 7, 4) + np.array([0, 7, 14, 21])
+        bit = int(rng.random() < 0.1 + 0.12 * (contexts[0] % 7))
+        chance = np.clip(1 / (1 + np.exp(-np.clip(odds[contexts].sum(), -8, 8))), 48 / 65536, 1 - 48 / 65536)
+        _coder_kernels.code_bit(*coder.arrays, tuple(contexts.tolist()), 0, bit)
+        odds[contexts] += (bit - chance) * RATE[met[contexts]] / 65536
+        met[contexts] = np.minimum(met[contexts] + 1, 63)
+        np.testing.assert_allclose((model[contexts] >> 6) / 65536, odds[contexts], atol=0.02)
+        np.testing.assert_array_equal(model[contexts] & 63, met[contexts])
+    assert np.ptp(odds[:7]) > 1.0  # it has learnt which context the bit depends on
+
+
+def test_the_table_is_the_logistic_function_and_no_bit_is_certain():
     x = np.arange(-2048, 2049) / 256
-    assert np.abs(SQUASH - 65536 / (1 + np.exp(-x))).max() <= 0.51
-    p = (np.arange(4096) + 0.5) / 4096
-    inside = np.abs(STRETCH) < 2040
-    assert inside.sum() > 4080
-    assert np.abs(STRETCH - 256 * np.log(p / (1 - p)))[inside].max() <= 24.0  # where the function is flat
-    assert np.abs(STRETCH - 256 * np.log(p / (1 - p)))[1000:3000].max() <= 1.0
+    assert np.abs(SQUASH - np.clip(65536 / (1 + np.exp(-x)), 48, 65536 - 48)).max() <= 0.51
+    assert np.all(np.diff(RATE) < 0)
 
 
 def test_levels_grow_by_two_an_octave_and_never_fall():
-    levels = [_coder_kernels.level(x) for x in range(-2, 4096)]
+    levels = [_coder_kernels.level(x) for x in range(-2, 70_000)]
     assert levels[:7] == [0, 0, 0, 1, 2, 3, 4]
-    assert np.all(np.diff(levels) >= 0)
-    assert [_coder_kernels.bit_length(x) for x in (0, 1, 255, 256)] == [0, 1, 8, 9]
+    assert all(levels[2 + x] == 2 * (x.bit_length() - 1) + ((x >> (x.bit_length() - 2)) & 1) for x in range(2, 69_990))
+    assert _coder_kernels.level(1 << 40) == 43
+    assert [_coder_kernels.bits_of(x) for x in (0, 1, 2, 3, 4, 255, 256, 1 << 30)] == [1, 1, 2, 2, 3, 8, 9, 12]
 
 
 # --- points and their beams -----------------------------------------------------------------------------------
@@ -141,14 +180,49 @@ def pose_at(knots: Knots, t_ns: int) -> np.ndarray:
     return se3.compose(A @ se3.so3_exp(f * se3.so3_log(A.T @ B)), t)
 
 
-def test_merging_two_sorted_sets_sorts_them_with_corners_first():
+def arrays(features: FeatureSet) -> tuple[np.ndarray, ...]:
+    return features.points_lidar, features.ring, features.column, features.t_offset_ns, features.intensity
+
+
+def merge(a: FeatureSet, b: FeatureSet, rings: int = 16, columns: int = COLUMNS):
+    n = len(a) + len(b)
+    counts, points = np.empty(rings, np.int64), np.zeros((7, n), np.int32)
+    points_lidar, times = np.empty((n, 3), np.float32), np.empty(n, np.int32)
+    found = _merge_kernels.merge(arrays(a), arrays(b), columns, counts, points, points_lidar, times)
+    return found, counts, points, points_lidar, times
+
+
+def test_merging_two_sorted_sets_sorts_them_with_corners_first_and_parting_them_is_the_inverse():
     rng = np.random.default_rng(0)
     a, b = feature_set(rng, 40), feature_set(rng, 90)
-    order = np.empty(130, np.int32)
-    assert _beam_kernels.merge(a.ring, a.column, b.ring, b.column, order)
-    ring, column = np.concatenate([a.ring, b.ring]), np.concatenate([a.column, b.column])
-    np.testing.assert_array_equal(order, np.lexsort((np.arange(130), column, ring)))
-    assert not _beam_kernels.merge(a.ring[::-1].copy(), a.column, b.ring, b.column, order)
+    b.ring[:3], b.column[:3] = a.ring[:3], a.column[:3]  # the same cell twice, as no selection makes it
+    b = FeatureSet(*(x[np.lexsort((b.column, b.ring))] for x in arrays(b)))
+    found, counts, points, points_lidar, times = merge(a, b)
+    assert found == _merge_kernels.MERGED
+    both = [np.concatenate(pair) for pair in zip(arrays(a), arrays(b), strict=True)]
+    order = np.lexsort((np.arange(130), both[2], both[1]))
+    np.testing.assert_array_equal(counts, np.bincount(both[1], minlength=16))
+    np.testing.assert_array_equal(points[CLASS], order < 40)
+    np.testing.assert_array_equal(points[COLUMN], both[2][order])
+    np.testing.assert_array_equal(points[INTENSITY], (both[4][order].astype(int) + 8) // 17)
+    np.testing.assert_array_equal(points_lidar, both[0][order])
+    np.testing.assert_array_equal(times, both[3][order])
+
+    back = FeatureSet(*map(np.empty_like, arrays(a))), FeatureSet(*map(np.empty_like, arrays(b)))
+    _merge_kernels.part(points, counts, points_lidar, times, arrays(back[0]), arrays(back[1]))
+    for sent, got in zip((a, b), back, strict=True):
+        for x, y in zip(arrays(sent)[:4], arrays(got)[:4], strict=True):
+            np.testing.assert_array_equal(x, y)
+        assert np.abs(sent.intensity.astype(int) - got.intensity).max() <= 8
+
+
+def test_features_out_of_order_or_outside_of_the_image_are_not_merged():
+    rng = np.random.default_rng(0)
+    a, b = feature_set(rng, 40), feature_set(rng, 90)
+    for backwards in (FeatureSet(*(x[::-1].copy() for x in arrays(a))), b):
+        assert merge(backwards, FeatureSet(*(x[::-1].copy() for x in arrays(b))))[0] == _merge_kernels.UNSORTED
+    assert merge(a, b, rings=15)[0] == _merge_kernels.OUTSIDE
+    assert merge(a, b, columns=900)[0] == _merge_kernels.OUTSIDE
 
 
 def test_points_in_steps_are_the_points_in_the_frames_of_their_beams():
@@ -217,6 +291,9 @@ def test_the_rate_of_columns_is_found_for_both_senses_of_rotation():
         n = _beam_kernels.neighbour_rates(counts, points, f.t_offset_ns, rates)
         rate = _beam_kernels.mean_rate(counts, points, f.t_offset_ns, float(np.median(rates[:n])))
         assert rate == pytest.approx(-55_555 if clockwise else 55_555, rel=0.01)
+        assert _beam_kernels.column_rate(counts, points, f.t_offset_ns, 55_555.0) == round(256 * rate)
+        assert _beam_kernels.column_rate(counts, points, f.t_offset_ns, 5_000.0) == 256 * np.sign(rate) * 5_000
+    assert _beam_kernels.column_rate(np.zeros(3, np.int64), points[:, :0], f.t_offset_ns[:0], 1.0) == 0
 
 
 def test_the_line_of_a_ring_is_that_of_least_squares_drawn_to_the_one_before():
@@ -236,12 +313,21 @@ def test_the_line_of_a_ring_is_that_of_least_squares_drawn_to_the_one_before():
     np.testing.assert_array_equal(lines[1], lines[0])  # an empty ring says nothing new
 
 
+def test_the_lines_of_rings_pass_the_coder():
+    lines = np.cumsum(np.random.default_rng(0).integers(-300, 301, (16, 2)), axis=0)
+    coder = Coder(np.zeros(400, np.uint8), False)
+    _point_kernels.code_lines(*coder.arrays, OFFSETS, SLOPES, lines.copy())
+    back, got = Coder(np.frombuffer(coder.close(), np.uint8).copy(), True), np.zeros_like(lines)
+    _point_kernels.code_lines(*back.arrays, OFFSETS, SLOPES, got)
+    np.testing.assert_array_equal(got, lines)
+
+
 def test_the_steps_of_the_phase_add_up_by_columns_apart():
     _, counts, points = made_points(5, 60)
     fractions = np.random.default_rng(0).uniform(-0.0017, 0.0017, 60)
     fractions[11] = 9.0
     sums = np.zeros(200, np.complex128)
-    pairs = _beam_kernels.phase_steps(counts, points, fractions, 0.0035, sums)
+    pairs = _lattice_kernels.phase_steps(counts, points, fractions, 0.0035, sums)
     want, ring = np.zeros(200, np.complex128), np.repeat(np.arange(len(counts)), counts)
     seen = 0
     for i in range(60):
@@ -252,6 +338,19 @@ def test_the_steps_of_the_phase_add_up_by_columns_apart():
                 seen += 1
     assert pairs == seen
     np.testing.assert_allclose(sums, want, atol=1e-9)
+
+
+def test_the_spectrum_is_the_fourier_transform_and_its_strongest_part_is_found_between_bins():
+    rng = np.random.default_rng(1)
+    values, parts = rng.normal(size=40) + 1j * rng.normal(size=40), np.empty(64, np.complex128)
+    _lattice_kernels.spectrum(values, parts)
+    np.testing.assert_allclose(parts, np.fft.fft(values, 64), atol=1e-12)
+    parts = np.empty(256, np.complex128)
+    for turn in (0.1, 0.4051, 0.77, 0.999):
+        _lattice_kernels.spectrum(np.exp(2j * np.pi * turn * np.arange(40)), parts)
+        place, size = _lattice_kernels.strongest(parts)
+        assert abs((place - turn + 0.5) % 1 - 0.5) < 2e-4
+        assert 39 < size <= 40.001
 
 
 def test_points_pass_the_model_whatever_they_are():
@@ -269,7 +368,7 @@ def test_points_pass_the_model_whatever_they_are():
         assert _point_kernels.code_points(*coder.arrays, counts, scales, lines, points.copy(), now)
         decoder = Coder(np.frombuffer(coder.close(), np.uint8).copy(), True)
         got_counts, got = np.zeros(16, np.int64), np.zeros_like(points)
-        _point_kernels.code_counts(*decoder.arrays, got_counts)
+        assert _point_kernels.code_counts(*decoder.arrays, got_counts) == 90
         np.testing.assert_array_equal(got_counts, counts)
         assert _point_kernels.code_points(*decoder.arrays, counts, scales, lines, got, now)
         np.testing.assert_array_equal(got, points)
@@ -277,7 +376,8 @@ def test_points_pass_the_model_whatever_they_are():
 
 def test_the_ring_below_is_read_at_the_nearest_column_or_between_two_on_one_surface():
     points = np.zeros((7, 4), np.int32)
-    points[COLUMN], points[ALONG], points[6] = [10, 20, 30, 40], [1000, 1040, 9000, 9000], [1, 2, 3, 4]
+    points[COLUMN], points[ALONG], points[INTENSITY] = [10, 20, 30, 40], [1000, 1040, 9000, 9000], [1, 2, 3, 4]
+    points[CLASS] = [0, 1, 0, 1]
     now = np.zeros(_point_kernels.NOW, np.int64)
     now[_point_kernels._BELOW_END] = 4
     for column, near, shade in (
@@ -291,6 +391,7 @@ def test_the_ring_below_is_read_at_the_nearest_column_or_between_two_on_one_surf
         now[_point_kernels._UNDER] = 0
         _point_kernels._look_below(points, column, now)
         assert (now[_point_kernels._NEAR], now[_point_kernels._NEAR_SHADE]) == (near, shade)
+        assert now[_point_kernels._NEAR_CLASS] == 1 - shade % 2
 
 
 # --- knots ----------------------------------------------------------------------------------------------------
@@ -328,6 +429,100 @@ def test_a_constant_rate_leaves_nothing_after_the_second_knot():
     residuals = np.empty(values.size, np.int64)
     _knot_kernels.continue_rate(times, values, residuals, False)
     assert np.abs(residuals[12:]).max() <= 1
+
+
+def test_units_of_knots_come_back_and_those_beyond_all_bounds_do_not():
+    rng = np.random.default_rng(0)
+    rotation, translation_m = rng.normal(0, 0.3, (7, 3)), rng.normal(0, 2, (7, 3))
+    values = np.empty((7, 6), np.int64)
+    assert _knot_kernels.to_units(rotation, translation_m, values)
+    np.testing.assert_array_equal(values, np.rint(np.hstack([rotation / 1e-6, translation_m / 2e-5])))
+    back = np.empty((7, 3)), np.empty((7, 3))
+    assert _knot_kernels.from_units(values, *back)
+    np.testing.assert_allclose(back[0], rotation, atol=5.1e-7)
+    np.testing.assert_allclose(back[1], translation_m, atol=1.01e-5)
+    values[3, 4] = -(1 << 28)
+    assert not _knot_kernels.from_units(values, *back)
+    for bad in (np.nan, np.inf, 300.0):
+        rotation[2, 1] = bad
+        assert not _knot_kernels.to_units(rotation, translation_m, values)
+
+
+def test_times_of_knots_pass_the_coder_and_must_increase():
+    times = np.array([0, 700, 2500, 3000, 9000], np.int64) * 1000
+    even = np.array([-3000, 5000, 13000], np.int64)
+    assert not _knot_kernels.are_even(times)
+    assert _knot_kernels.are_even(even)
+    coder = Coder(np.zeros(400, np.uint8), False)
+    for sent, how in ((times, False), (even, True), (times[::-1], False)):
+        assert _knot_kernels.code_times(*coder.arrays, TIMES, sent.copy(), how) == (sent[0] < sent[-1])
+    back = Coder(np.frombuffer(coder.close(), np.uint8).copy(), True)
+    for sent, how in ((times, False), (even, True), (times[::-1], False)):
+        got = np.zeros_like(sent)
+        assert _knot_kernels.code_times(*back.arrays, TIMES, got, how) == (sent[0] < sent[-1])
+        np.testing.assert_array_equal(got, sent)
+
+
+# --- motion ---------------------------------------------------------------------------------------------------
+
+
+def measured(m: Motion) -> tuple[bool, np.ndarray, np.ndarray]:
+    fields, steps = np.zeros(5, np.int64), np.zeros(16, np.int64)
+    parts = m.T_prev_lidar, m.covariance, m.velocity_lidar_mps, m.gravity_lidar, m.gravity_sigma_rad
+    return _motion_kernels.measure(*parts, fields, steps), fields, steps
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_motion_in_steps_is_the_motion(axis: int, sign: int):
+    down = np.insert([0.36, -0.48], axis, sign * 0.8)
+    m = replace(motion(), gravity_lidar=3.0 * down)  # any length
+    known, fields, steps = measured(m)
+    assert known
+    np.testing.assert_array_equal(steps[:3], np.rint(se3.so3_log(m.T_prev_lidar[:3, :3]) / 1e-5))
+    np.testing.assert_array_equal(steps[3:6], np.rint(m.T_prev_lidar[:3, 3] / 1e-4))
+    np.testing.assert_array_equal(steps[6:9], np.rint(m.velocity_lidar_mps / 1e-3))
+    sigmas = np.append(np.sqrt(np.diag(m.covariance)), m.gravity_sigma_rad)
+    np.testing.assert_array_equal(steps[9:], np.rint(8 * np.log2(sigmas / 1e-6)))
+    T, covariance, velocity_mps, got_down = np.eye(4), np.zeros((6, 6)), np.empty(3), np.empty(3)
+    sigma_rad = _motion_kernels.place(fields, steps, T, covariance, velocity_mps, got_down)
+    np.testing.assert_allclose(T, m.T_prev_lidar, atol=1e-4)
+    np.testing.assert_allclose(np.diag(covariance), np.diag(m.covariance), rtol=0.1)
+    np.testing.assert_allclose(velocity_mps, m.velocity_lidar_mps, atol=5.1e-4)
+    np.testing.assert_allclose(got_down, down, atol=1e-4)
+    assert sigma_rad == pytest.approx(m.gravity_sigma_rad, rel=0.05)
+
+
+def test_motion_that_is_not_finite_or_beyond_all_bounds_is_reported():
+    T, zero, nothing = np.eye(4), np.zeros(3), np.full(3, np.nan)
+    T[0, 3] = 1e9
+    for bad in (
+        {"T_prev_lidar": T},
+        {"velocity_lidar_mps": nothing},
+        {"gravity_lidar": zero},
+        {"gravity_lidar": nothing},
+        {"covariance": np.full((6, 6), np.nan)},
+        {"gravity_sigma_rad": float("nan")},
+    ):
+        assert not measured(replace(motion(), **bad))[0], bad
+    _, fields, steps = measured(motion())
+    for where, index, value in ((fields, 1, 3), (fields, 3, 0), (steps, 4, 1 << 29)):
+        kept, where[index] = int(where[index]), value
+        rest = np.eye(4), np.zeros((6, 6)), np.empty(3), np.empty(3)
+        assert _motion_kernels.place(fields, steps, *rest) == -1.0
+        where[index] = kept
+
+
+def test_what_the_last_knot_says_is_taken_off_and_put_back():
+    steps = np.arange(16, dtype=np.int64) * 7
+    rotation, translation_m = np.array([0.01, -0.02, 0.3]), np.array([0.5, -0.1, 0.0])
+    differences = steps.copy()
+    _motion_kernels.expect(differences, rotation, translation_m, 100_000, False)
+    want = steps - np.concatenate([rotation / 1e-5, translation_m / 1e-4, translation_m / 1e-4, np.zeros(7)])
+    want[10:] = 7
+    np.testing.assert_array_equal(differences, np.rint(want))
+    _motion_kernels.expect(differences, rotation, translation_m, 100_000, True)
+    np.testing.assert_array_equal(differences, steps)
 
 
 # --- version 1 ------------------------------------------------------------------------------------------------
