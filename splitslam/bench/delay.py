@@ -114,7 +114,7 @@ def _scored(out: Outcome, truth: Trajectory, delay_ms: float, odometry: bool) ->
         answers=evaluate(out.online(), truth),
         robot=evaluate(robot, truth),
         odom_max_m=out.node.jumps["odom_max_m"],
-        seconds=(at_scans.stamps_ns - out.start_ns) * 1e-9,
+        seconds=np.asarray((at_scans.stamps_ns - out.start_ns) * 1e-9, np.float64),
         error_m=np.asarray(np.linalg.norm(aligned(at_scans, true) - true.positions_m, axis=1), np.float64),
     )
 
