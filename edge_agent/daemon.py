@@ -88,7 +88,7 @@ class _Run:
         self._run_id = self._run_state.open()
         self._uplink = Uplink(config.server, self._hello(robot), config.uplink, metrics)
         queue = EventQueue(source.queue_scans, source.realtime, metrics)
-        self._queue, self._reader = queue, Reader(recording.events(), queue, source.realtime)
+        self._queue, self._reader = queue, Reader(recording.events(), queue, source.realtime, source.began_s)
         feed = None
         if config.feed.socket is not None:
             feed = PoseFeed(config.feed, config.feed.socket, robot.T_body_lidar, metrics)
@@ -154,7 +154,7 @@ class _Run:
         self._uplink.close()
         if self._outputs is not None:
             self._outputs.publish(self._report(welcome.session_id, finished is None))
-        self._progress.end(self._recording.counts.scans_read, self._tally.mapped)
+        self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch(self, stop: threading.Event) -> None:
         stop.wait()
@@ -180,12 +180,16 @@ class _Run:
             )
             raise InputError(f"{self._config.source.recording}: no usable scans ({why}); expected at least one")
 
+    @property
+    def _scans_read(self) -> int:
+        return self._recording.counts.scans_read - self._reader.passed_scans
+
     def _report(self, session_id: str, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""
         tally, counts = self._tally, self._recording.counts
         recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
-        read = counts.scans_read
+        read = self._scans_read
         return {
             "session_id": session_id,
             "run_id": self._run_id.value,
