@@ -96,3 +96,6 @@ NO_IMU_STEP_M = 0.07
 TUNNEL_DRIFT_SHARE = 0.005
 # Of an online pose after a kidnapping of 5 m, once found: drift of ten seconds and the start's tilt.
 KIDNAP_FOUND_M = 0.2
+
+# A frame that was applied but not durable when its owner died is mapped again by the next one, from the stored state.
+CHAOS_REMAPPED_M = 0.02
