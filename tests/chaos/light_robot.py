@@ -5,6 +5,7 @@ A robot checks every message that comes back against the protocol and against th
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 import uuid
@@ -196,7 +197,7 @@ class LightRobot:
     def gap_s(self, from_s: float = float("-inf"), to_s: float = float("inf")) -> float:
         """The longest time without an answer that ends or begins between the two times."""
         at_s = sorted(arrival.at_s for arrival in list(self.arrivals.values()))
-        return max((b - a for a, b in zip(at_s, at_s[1:], strict=False) if b >= from_s and a <= to_s), default=0.0)
+        return max((b - a for a, b in itertools.pairwise(at_s) if b >= from_s and a <= to_s), default=0.0)
 
     def off_m(self) -> NDArray[np.float64]:
         """(N,) How far each answered pose is from the undisturbed run's, by seq, m."""
