@@ -4,6 +4,7 @@ COPY pyproject.toml README.md LICENSE requirements/lock.txt ./
 COPY splitslam splitslam
 COPY edge_agent edge_agent
 COPY map_service map_service
+COPY deploy/envoy deploy/envoy
 # The lock only constrains: the image gets what the server needs.
 RUN sed 's/ *#.*//' lock.txt > /tmp/constraints.txt \
     && pip install --no-cache-dir --constraint /tmp/constraints.txt '.[server]' \
