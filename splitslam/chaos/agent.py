@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
+import sys
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from splitslam.run.processes import Child, Programs
+from splitslam.stack.process import StackProcess
 
+PROGRAM = (sys.executable, "-m", "edge_agent")
 _RESTART_S = 0.1  # systemd's RestartSec
 _STOP_S = 5.0
 _TICK_S = 0.05
-_KEPT_LINES = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +31,13 @@ class Drive:
 
 @dataclass(slots=True)
 class Life:
-    """One process of an agent. Times on the monotonic clock; `lines`: what it last said on stderr."""
+    """One process of an agent. Times on the monotonic clock."""
 
     folder: Path
     pid: int
     began_s: float
     ended_s: float | None = None
     exit_code: int | None = None
-    lines: list[str] = field(default_factory=list)
 
     @property
     def report(self) -> dict[str, Any] | None:
@@ -56,7 +54,7 @@ class Life:
 
 
 class Agent:
-    """One robot. Every method may be called from any thread.
+    """One robot; `process` is what to kill or freeze. Every method may be called from any thread.
 
     began_s: when the first sensor message is due, monotonic clock: the sensors go on whether the agent lives or not.
     None: no clock, in lockstep, as fast as it goes. settings: what else agent.yaml holds.
@@ -73,20 +71,18 @@ class Agent:
         metrics_port: int | None = None,
         socket: Path | None = None,
         settings: dict[str, Any] | None = None,
-        programs: Programs | None = None,
     ) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
         self.name, self.drive, self.folder, self.began_s = name, drive, folder, began_s
         self.metrics_port, self.socket = metrics_port, socket
         self.lives: list[Life] = []
         self._server, self._settings = server, settings or {}
-        self._command = (programs or Programs()).edge_agent
-        self._child: Child | None = None
+        self.process = StackProcess(name, folder / "agent.log")
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"supervisor-{name}", daemon=True)
 
     def start(self) -> None:
         """Begins its first life."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         robot = yaml.safe_load(self.drive.robot.read_text())
         robot["robot"] = {**robot.get("robot", {}), "id": self.name}
         (self.folder / "robot.yaml").write_text(yaml.safe_dump(robot))
@@ -104,17 +100,7 @@ class Agent:
         last = self.lives[-1] if self.lives else None
         if not self.done or last is None or last.exit_code == 0:
             return None
-        return f"{self.name} ended with exit code {last.exit_code}: {last.lines[-1] if last.lines else 'no word'}"
-
-    @property
-    def alive(self) -> bool:
-        """Its process runs."""
-        return bool(self.lives) and self.lives[-1].exit_code is None
-
-    def kill(self) -> None:
-        """SIGKILL to the process that runs now."""
-        if self.alive:
-            os.kill(self.lives[-1].pid, signal.SIGKILL)
+        return f"{self.name} ended with exit code {last.exit_code}: {self.process.last_line()}"
 
     def wait(self, timeout_s: float) -> bool:
         """True when it was done in time."""
@@ -124,8 +110,7 @@ class Agent:
     def stop(self) -> None:
         """Ends it for good."""
         self._stopping.set()
-        if self._child is not None:
-            self._child.stop(_STOP_S)
+        self.process.stop(_STOP_S)
         if self._thread.is_alive():
             self._thread.join()
 
@@ -136,8 +121,8 @@ class Agent:
         folder.mkdir()
         config = folder / "agent.yaml"
         config.write_text(yaml.safe_dump(self._config(folder)))
-        self._child = Child(self.name, (*self._command, "run", "--config", str(config)))
-        self.lives.append(Life(folder, self._child.pid, time.monotonic()))
+        self.process.launch((*PROGRAM, "run", "--config", config))
+        self.lives.append(Life(folder, self.process.pid, time.monotonic()))
 
     def _config(self, folder: Path) -> dict[str, Any]:
         by_the_clock = {"realtime": True, "began_s": self.began_s} if self.began_s is not None else {}
@@ -154,18 +139,10 @@ class Agent:
 
     def _supervise(self) -> None:
         while True:
-            life, child = self.lives[-1], self._child
-            assert child is not None
-            while (exit_code := child.exit_code) is None:
-                self._listen(life, child.next_line(_TICK_S))
+            life = self.lives[-1]
+            while (exit_code := self.process.exit_code) is None:
+                time.sleep(_TICK_S)
             life.ended_s, life.exit_code = time.monotonic(), exit_code
-            for line in child.remaining_lines():
-                self._listen(life, line)
             if exit_code >= 0 or self._stopping.wait(_RESTART_S):  # one that has ended by itself says why
                 return
             self._begin()
-
-    @staticmethod
-    def _listen(life: Life, line: tuple[str, str] | None) -> None:
-        if line is not None:
-            life.lines = [*life.lines[1 - _KEPT_LINES :], line[1]]
