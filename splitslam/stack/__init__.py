@@ -1,6 +1,6 @@
 """The replicated stack as plain processes, without containers: PostgreSQL, Envoy, replicas of the map service.
 
-`Stack` starts all of it on loopback; every part can be stopped, killed, frozen and started again (tests, the chaos demo).
+`Stack` starts all of it on loopback; every part can be stopped, killed, frozen and started again.
 """
 
 from splitslam.stack.envoy import EnvoyProxy

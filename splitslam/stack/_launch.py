@@ -1,4 +1,4 @@
-"""`python -IS _launch.py PARENT SIGNAL UID PROGRAM...`: becomes PROGRAM, which the kernel ends by SIGNAL with its parent.
+"""`python -IS _launch.py PARENT SIGNAL UID PROGRAM...`: becomes PROGRAM, which the kernel ends with its parent.
 
 UID other than 0: gives root up but for access to files, as PostgreSQL does not run as root and the folders of tests are
 root's alone. A file of its own, not a preexec_fn: other threads run in the parent.

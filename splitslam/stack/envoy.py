@@ -1,4 +1,4 @@
-"""Envoy on loopback with the configuration of the deployment: only addresses, and where the replicas come from, differ."""
+"""Envoy on loopback with the deployment's configuration: only addresses and the source of the replicas differ."""
 
 from __future__ import annotations
 

