@@ -99,3 +99,8 @@ KIDNAP_FOUND_M = 0.2
 
 # A frame that was applied but not durable when its owner died is mapped again by the next one, from the stored state.
 CHAOS_REMAPPED_M = 0.02
+# What anything that is done to the system may cost a trajectory, whichever is larger.
+CHAOS_WORSE_M = 0.02
+CHAOS_WORSE_SHARE = 0.10
+# A process that lives on with the same work: caches fill, a leak grows.
+CHAOS_MEMORY_RATIO = 1.3

@@ -13,7 +13,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -251,7 +251,7 @@ class _Pump:
             self._link.count(self._way, len(data))
 
 
-async def _first(work: list[Coroutine[Any, Any, None]]) -> None:
+async def _first(work: Sequence[Coroutine[Any, Any, None]]) -> None:
     """Runs all until one ends, well or not; then none is left."""
     tasks = [asyncio.ensure_future(each) for each in work]
     try:

@@ -153,6 +153,19 @@ class LightRobot:
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
+    @property
+    def duration_s(self) -> float:
+        """What its frames take."""
+        return self.count * PERIOD_S
+
+    def caught_up(self, since_s: float) -> bool:
+        """It has ended, or a frame sent since then is answered and at most two wait."""
+        if not self._thread.is_alive():
+            return self._thread.ident is not None
+        arrivals = self.arrivals
+        newest = arrivals.get(len(arrivals))
+        return newest is not None and newest.at_s > since_s + PERIOD_S and self.sent - len(arrivals) <= 2
+
     def stop(self) -> None:
         """Ends it where it stands: the session stays open."""
         self._stopping.set()

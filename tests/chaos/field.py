@@ -1,0 +1,107 @@
+"""Where a chaos run takes place: one stack, light robots that check every answer, real agents, and what went wrong."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from splitslam.chaos.agent import Agent, Drive
+from splitslam.chaos.link import Link
+from splitslam.stack import Stack
+from tests.chaos.audit import Audit, one_owner
+from tests.chaos.fleet import Fleet
+from tests.chaos.invariants import Undisturbed, agent_kept, family, nobody_left
+
+RESTART_S = 1.0
+AGENT_START_S = 6.0  # interpreter, kernels, the first Welcome; the drive begins after it
+
+
+@dataclass(slots=True)
+class Field:
+    """agents: real ones, each behind one of `agent_links`. seed: of what is chosen at random."""
+
+    stack: Stack
+    fleet: Fleet
+    agents: list[Agent]
+    agent_links: list[Link]
+    seed: int = 1
+    wrong: list[str] = field(default_factory=list)
+    _restarts: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "supervisor"))
+    _pending: list[Future[None]] = field(default_factory=list)
+
+    @property
+    def links(self) -> list[Link]:
+        return [*(place.link for place in self.fleet.places), *self.agent_links]
+
+    def expect(self, true: bool, text: str) -> None:
+        if not true:
+            self.wrong.append(text)
+
+    def later(self, start: Callable[[], None]) -> None:
+        """What a supervisor does: start it again, after a moment."""
+
+        def restart() -> None:
+            time.sleep(RESTART_S)
+            start()
+
+        self._pending.append(self._restarts.submit(restart))
+
+    def processes(self) -> list[int]:
+        """Every process that runs for the stack and the agents now."""
+        parts = [*self.stack.replicas, self.stack.envoy, self.stack.postgres, *(agent.process for agent in self.agents)]
+        return [pid for part in parts if part is not None and part.alive for pid in family(part.pid)]
+
+    def all_up(self) -> None:
+        """Waits until what was to be started again is there and known to the proxy."""
+        for pending in self._pending:
+            pending.result()
+        self._pending.clear()
+        self.stack.wait_healthy(20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What is driven: the made drive and what both pipelines make of it undisturbed."""
+
+    drive: Drive
+    undisturbed: Undisturbed
+
+
+@contextmanager
+def open_field(
+    folder: Path, material: Callable[[], Material], *, light: int, real: int, replicas: int = 3, stagger_s: float = 0.5
+) -> Iterator[Field]:
+    """The stack, started while the drive is made; then the robots. At the end every session is finished and judged.
+
+    material: called once, in a thread of its own. What was wrong is in `field.wrong` when the block is left.
+    """
+    with ExitStack() as cleanup:
+        making = cleanup.enter_context(ThreadPoolExecutor(1)).submit(material)
+        stack = cleanup.enter_context(Stack(folder / "stack", replicas))
+        audit = Audit(stack.store_url)
+        made = making.result()
+        fleet = Fleet(light, stack.address, made.undisturbed, stagger_s=stagger_s)
+        links = [cleanup.enter_context(Link(stack.address, seed=k)) for k in range(real)]
+        began_s = time.monotonic() + AGENT_START_S
+        agents = [
+            Agent(f"robot-{k}", made.drive, link.address, folder / f"robot-{k}", began_s=began_s)
+            for k, link in enumerate(links, start=1)
+        ]
+        field = Field(stack, fleet, agents, links)
+        fleet.start()
+        for agent in agents:
+            agent.start()
+            cleanup.callback(agent.stop)
+        yield field
+        field.all_up()
+        fleet.finish()
+        for agent in agents:
+            field.expect(agent.wait(made.undisturbed.duration_s + 60.0), f"{agent.name} did not come to its end")
+            field.wrong += agent_kept(agent, stack.address, made.undisturbed)
+        field.wrong += fleet.wrong + one_owner(audit.notes())
+        processes = field.processes()
+    field.wrong += nobody_left(processes)
