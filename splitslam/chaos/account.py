@@ -54,10 +54,7 @@ def account_of(agent: Agent, stored: Sequence[StampedPose]) -> Account:
     unseen = missing_ns[_between(missing_ns, _dead_ns(agent, stamps_ns, int(truth_ns[0])))]
     reports = [report for life in agent.lives if (report := life.report) is not None]
     dropped = sum(
-        count
-        for report in reports
-        for reason, count in report["dropped_by_reason"].items()
-        if reason not in _NO_SCANS
+        count for report in reports for reason, count in report["dropped_by_reason"].items() if reason not in _NO_SCANS
     )
     return Account(
         due=len(truth_ns),

@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from splitslam.stack.process import StackProcess
+from splitslam.tum import Trajectory, read_tum
 
 PROGRAM = (sys.executable, "-m", "edge_agent")
 _RESTART_S = 0.1  # systemd's RestartSec
@@ -47,10 +48,18 @@ class Life:
         except OSError:
             return None
 
-    def output(self, name: str) -> Path:
-        """A file it wrote, such as imu.tum; of a life that was ended by force what had reached the disk."""
+    def trajectory(self, name: str) -> Trajectory | None:
+        """A file it wrote, such as imu.tum; of a life ended by force what had reached the disk. None: nothing."""
         whole, part = self.folder / name, self.folder / f".{name}.part"
-        return whole if whole.exists() or not part.exists() else part
+        if whole.exists():
+            return read_tum(whole)
+        lines = part.read_text().splitlines(keepends=True) if part.exists() else []
+        torn = lines and not lines[-1].endswith("\n")
+        kept = lines[:-1] if torn else lines
+        if not kept:
+            return None
+        (clean := part.with_suffix(".kept")).write_text("".join(kept))
+        return read_tum(clean)
 
 
 class Agent:
