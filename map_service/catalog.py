@@ -55,7 +55,9 @@ class Catalog:
         """Remove a session with everything it stored; None: there is none."""
         t = schema.sessions
         with self._store.writing() as connection:
-            row = connection.execute(select(t.c.id, t.c.bytes).where(t.c.session_id == session_id)).first()
+            # locked: a commit of its owner either comes before all of this or finds nothing to write to
+            query = select(t.c.id, t.c.bytes).where(t.c.session_id == session_id).with_for_update()
+            row = connection.execute(query).first()
             if row is None:
                 return None
             removed = {

@@ -1,18 +1,24 @@
-"""Commits on their way to the store: off the answer's path, in order, tried again while the store fails."""
+"""Commits on their way to the store: off the answer's path, in order, tried again for as long as the store fails."""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from map_service.config import CommitConfig
+from map_service.database import StoreError
 from map_service.rows import SessionCommit
-from map_service.store import FencedError, Store, StoreError
+from map_service.store import FencedError, Store
 from map_service.tally import Tally
 
+FLUSH_S = 2.0
 _RETRY_FIRST_S = 0.05
 _RETRY_CAP_S = 0.5
+_SLOW_S = 1.0
+
+_log = logging.getLogger(__name__)
 
 
 class Committer:
@@ -21,6 +27,15 @@ class Committer:
     def __init__(self, store: Store, config: CommitConfig, tally: Tally) -> None:
         self._store, self._config, self._tally = store, config, tally
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="commit")
+        self._trying_since_s: float | None = None
+        self._failing = False
+        self._until_s = float("inf")
+
+    @property
+    def away(self) -> bool:
+        """The store has failed at its last commit, or takes long over one: nobody should wait for it."""
+        since_s = self._trying_since_s
+        return self._failing or (since_s is not None and time.monotonic() - since_s > _SLOW_S)
 
     def log(self, key: int, epoch: int, last_seq: int) -> CommitLog:
         return CommitLog(self, self._config, key, epoch, last_seq)
@@ -28,12 +43,16 @@ class Committer:
     def submit(self, log: CommitLog, epoch: int, entry: SessionCommit) -> Future[None]:
         return self._thread.submit(self._write, log, epoch, entry)
 
+    def give_up_after(self, seconds: float) -> None:
+        """The worker drains: what the store does not take until then is the robots' to send again."""
+        self._until_s = time.monotonic() + seconds
+
     def _write(self, log: CommitLog, epoch: int, entry: SessionCommit) -> None:
         if log.broken:
             raise StoreError("an earlier commit of this session has failed")
         start_s = time.monotonic()
         try:
-            self._write_with_retries(log.key, epoch, entry, start_s + self._config.retry_s)
+            self._write_until_done(log.key, epoch, entry)
         except FencedError:
             log.broken = True
             self._tally.count("commits", "fenced")
@@ -42,22 +61,32 @@ class Committer:
             log.broken = True
             self._tally.count("commits", "failed")
             raise
+        finally:
+            self._trying_since_s, self._failing = None, False
         self._tally.count("commits", "ok")
         self._tally.observe("commit_seconds", time.monotonic() - start_s)
         for factor in entry.commit.factors:
             if factor.kind in ("loop", "gnss"):
                 self._tally.count("loops" if factor.kind == "loop" else "gnss", "factor")
 
-    def _write_with_retries(self, key: int, epoch: int, entry: SessionCommit, until_s: float) -> None:
-        wait_s = _RETRY_FIRST_S
+    def _write_until_done(self, key: int, epoch: int, entry: SessionCommit) -> None:
+        start_s, wait_s = time.monotonic(), _RETRY_FIRST_S
         while True:
+            self._trying_since_s = time.monotonic()
             try:
-                return self._store.commit(key, epoch, entry)
-            except StoreError:
-                if time.monotonic() + wait_s > until_s:
+                self._store.commit(key, epoch, entry)
+                break
+            except StoreError as error:
+                if time.monotonic() + wait_s > self._until_s:
                     raise
+                if not self._failing:
+                    _log.warning("the store is away", extra={"fields": {"detail": str(error)}})
+                self._failing = True
+                self._tally.count("commits", "retried")
             time.sleep(wait_s)
             wait_s = min(2 * wait_s, _RETRY_CAP_S)
+        if self._failing:
+            _log.info("the store is back", extra={"fields": {"after_s": round(time.monotonic() - start_s, 3)}})
 
 
 class CommitLog:
@@ -74,6 +103,11 @@ class CommitLog:
     @property
     def waiting(self) -> bool:
         return bool(self._pending)
+
+    @property
+    def full(self) -> bool:
+        """So much is applied and not durable that nothing more may be applied: memory is bounded."""
+        return self.applied_seq - self.durable_seq >= self._config.backlog_frames
 
     def due(self) -> bool:
         """By time or by number of frames, also when the robot stands."""
@@ -95,9 +129,13 @@ class CommitLog:
             future.result()
             self.durable_seq = seq
 
-    def flush(self) -> None:
-        """Wait for everything handed over. Raises as `collect`."""
+    def flush(self, timeout_s: float = FLUSH_S) -> None:
+        """Wait for everything handed over. Raises as `collect`; StoreError, with nothing lost, when it takes long."""
+        until_s = time.monotonic() + timeout_s
         while self._pending:
-            seq, future = self._pending.popleft()
-            future.result()
-            self.durable_seq = seq
+            seq, future = self._pending[0]
+            try:
+                future.exception(max(0.0, until_s - time.monotonic()))
+            except TimeoutError:
+                raise StoreError(f"the commit of frames up to {seq} is still being tried") from None
+            self.collect()

@@ -48,18 +48,24 @@ class AdviceConfig(Model):
 
 
 class CommitConfig(Model):
-    """When a session is committed besides at each keyframe."""
+    """When a session is committed besides at each keyframe, and what happens while the store takes none."""
 
     every_s: float = Field(default=1.0, gt=0)
     every_frames: int = Field(default=20, ge=1)
-    retry_s: float = Field(default=5.0, ge=0, description="how long a failing store is tried before streams are ended")
+    backlog_frames: int = Field(
+        default=2000, ge=100, description="frames applied and not yet durable; at so many a session waits for its store"
+    )
+    drain_s: float = Field(default=5.0, ge=0, description="how long a failing store is tried when the service ends")
 
 
 class ServiceConfig(Model):
     """`map-service serve`."""
 
     listen: str = "127.0.0.1:50051"
-    store: str = Field(default="sqlite:///splitslam-map.db", description="SQLAlchemy URL")
+    store: str = Field(
+        default="sqlite:///splitslam-map.db", description="sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+    )
+    store_wait_s: float = Field(default=30.0, ge=0, description="how long a start waits for a store that is away")
     workers: int = Field(default=0, ge=0, le=256, description="worker processes; 0: one a core, less one")
     loop_workers: int = Field(default=1, ge=1, le=64, description="processes a worker verifies loops with")
     drain_s: float = Field(default=8.0, gt=0, le=9.0, description="longest graceful drain; the process is gone in 10 s")

@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError as WireError
 from map_service.accounts import SessionAccounts
 from map_service.catalog import Catalog
 from map_service.channel import Abort, Close, DrainAll, Forget, Open, Reply, Request
-from map_service.commits import Committer
+from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
 from map_service.hello import RefusedError, SessionRequest, read_hello
@@ -113,6 +113,8 @@ class SessionHost:
         self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))
 
     def _take_over(self, request: SessionRequest) -> Session:
+        if self._committer.away:  # one robot's Hello must not make the others wait
+            raise StoreError("commits are being tried again")
         held = self.sessions.get(request.session_id)
         if held is not None:
             if held.stream is not None:
@@ -120,9 +122,15 @@ class SessionHost:
             try:
                 held.log.flush()
             except (FencedError, StoreError):
+                if not held.log.broken:
+                    raise
                 self._drop(request.session_id)
                 held = None
-        opened = self.store.open_session(request.opening)
+        try:
+            opened = self.store.open_session(request.opening)
+        except FinishedError:
+            self._drop(request.session_id)
+            raise
         if held is not None and held.take_over(request, opened):
             return held
         self._drop(request.session_id)
@@ -156,16 +164,32 @@ class SessionHost:
         except WireError:
             self._abort(session, "INVALID_ARGUMENT", "not a StreamRequest")
             return
+        kind = request.WhichOneof("message")
+        if kind == "report":
+            session.accounts.note_edge(request.report)
+        elif kind not in ("frame", "bye") or session.finishing:
+            after = "Bye" if session.finishing else "Hello"
+            self._abort(session, "INVALID_ARGUMENT", f"{kind or 'an empty message'} after {after}")
+        elif session.held or (kind == "frame" and session.log.full):
+            self._hold(session, request)
+        else:
+            self._take(session, request)
+
+    def _hold(self, session: Session, request: pb.StreamRequest) -> None:
+        """Unanswered, and so without credit for more: the robot keeps what comes after the window."""
+        if not session.held:
+            fields = {"session": session.request.session_id, "durable_seq": session.log.durable_seq}
+            _log.warning("waiting for the store", extra={"fields": fields})
+        session.held.append(request)
+        if len(session.held) > self.config.limits.window_frames + 1:  # and a Bye
+            self._abort(session, "INVALID_ARGUMENT", "more than the window allows")
+
+    def _take(self, session: Session, request: pb.StreamRequest) -> None:
         try:
-            match request.WhichOneof("message"):
-                case "frame":
-                    self._frame(session, request.frame)
-                case "bye":
-                    self._bye(session, request.bye)
-                case "report":
-                    session.accounts.note_edge(request.report)
-                case other:
-                    self._abort(session, "INVALID_ARGUMENT", f"{other or 'an empty message'} after Hello")
+            if request.HasField("frame"):
+                self._frame(session, request.frame)
+            else:
+                self._bye(session, request.bye)
         except SequenceGapError as gap:
             self._abort(session, "ABORTED", str(gap))
         except FencedError as error:
@@ -201,14 +225,21 @@ class SessionHost:
         if bye.last_seq != session.log.applied_seq:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
         session.finish()
-        row = Catalog(self.store).session(session.request.session_id)
-        if row is None or session.stream is None:
+
+    def _say_finished(self, session: Session) -> None:
+        """Once the last commit is durable; a store that cannot be read just now is asked again."""
+        try:
+            row = Catalog(self.store).session(session.request.session_id)
+        except StoreError:
+            return
+        if row is None:
             raise FencedError("the session was deleted")
-        finished = pb.Finished(
-            mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
-        )
+        if session.stream is not None:
+            finished = pb.Finished(
+                mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
+            )
+            self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
         _log.info("session finished", extra={"fields": {"session": row.session_id, "mapped": row.frames}})
-        self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
         self._drop(session.request.session_id)
 
     # -- care ---------------------------------------------------------------------------------------------------
@@ -218,8 +249,14 @@ class SessionHost:
         for session in list(self.sessions.values()):
             try:
                 session.log.collect()
+                if session.finishing:
+                    if not session.log.waiting:
+                        self._say_finished(session)
+                    continue
                 if session.commit_due:
                     session.commit()
+                while session.held and session.stream is not None and not session.log.full:
+                    self._take(session, session.held.popleft())
             except FencedError as error:
                 self._fenced(session, error)
             except StoreError as error:
@@ -235,7 +272,7 @@ class SessionHost:
         detached = sorted((s for s in self.sessions.values() if s.stream is None), key=lambda s: s.touched_s)
         for position, session in enumerate(detached):
             too_many = len(detached) - position > limits.held_sessions
-            done = session.log.durable_seq == session.log.applied_seq
+            done = session.log.durable_seq == session.log.applied_seq and not session.log.waiting
             if (too_many or now_s - session.touched_s > limits.idle_s) and done:
                 self._drop(session.request.session_id)
 
@@ -246,9 +283,11 @@ class SessionHost:
         self._drop(session.request.session_id)
 
     def _store_failed(self, session: Session, error: Exception) -> None:
+        """It could not be read: the robot comes again. Only a session with a commit that is lost is let go."""
         _log.error("store failed", extra={"fields": {"session": session.request.session_id, "detail": str(error)}})
-        self._abort(session, "UNAVAILABLE", "the store does not take commits")
-        self._drop(session.request.session_id)
+        self._abort(session, "UNAVAILABLE", "the store does not answer")
+        if session.log.broken:
+            self._drop(session.request.session_id)
 
     def _abort(self, session: Session, status: str, detail: str) -> None:
         if session.stream is not None:
@@ -259,6 +298,7 @@ class SessionHost:
         session = self.sessions.get(self.streams.pop(stream, ""))
         if session is not None and session.stream == stream:
             session.stream, session.touched_s = None, time.monotonic()
+            session.held.clear()  # not applied: the robot sends them again
 
     def _drop(self, session_id: str) -> None:
         session = self.sessions.pop(session_id, None)
@@ -268,10 +308,11 @@ class SessionHost:
             self._released.append(session_id)
 
     def drain(self) -> None:
+        self._committer.give_up_after(self.config.commit.drain_s)
         for session in list(self.sessions.values()):
             try:
                 session.commit()
-                session.log.flush()
+                session.log.flush(self.config.commit.drain_s + FLUSH_S)
             except (FencedError, StoreError) as error:
                 fields = {"session": session.request.session_id, "detail": str(error)}
                 _log.error("not committed at drain", extra={"fields": fields})

@@ -1,9 +1,6 @@
-"""Tables of the store and how its engine is opened: SQLite embedded, PostgreSQL when there are replicas."""
+"""Tables of the store."""
 
 from __future__ import annotations
-
-import sqlite3
-from pathlib import Path
 
 from sqlalchemy import (
     BigInteger,
@@ -19,18 +16,17 @@ from sqlalchemy import (
     String,
     Table,
     Text,
-    create_engine,
-    event,
+    func,
     insert,
     inspect,
     select,
 )
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
+from sqlalchemy.exc import IntegrityError
 
 from splitslam.errors import InputError
 
 SCHEMA_VERSION = 1
-BUSY_TIMEOUT_MS = 5000
+_MAKING = 0x53504C4954  # key of the advisory lock
 
 metadata = MetaData()
 _row_id = BigInteger().with_variant(Integer, "sqlite")  # only INTEGER is an alias of SQLite's rowid
@@ -115,60 +111,12 @@ factors = Table(
 )
 
 
-def open_engine(url: str) -> Engine:
-    """The engine of a store URL, its schema made or checked. Raises InputError naming the URL and what is wrong."""
-    try:
-        engine = create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
-    except (ArgumentError, NoSuchModuleError, ImportError, ValueError) as error:
-        raise InputError(
-            f"store: {_shown(url)}: expected sqlite:///FILE or postgresql+psycopg://..., {error}"
-        ) from error
-    if engine.dialect.name == "sqlite":
-        _check_sqlite_path(engine.url.database, url)
-        event.listen(engine, "connect", _configure_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
-    try:
-        _make_or_check(engine)
-    except DBAPIError as error:
-        engine.dispose()
-        raise InputError(f"store: {_shown(url)}: cannot be opened: {error.orig}") from error
-    return engine
-
-
-def _shown(url: str) -> str:
-    head, separator, tail = url.rpartition("@")  # no password in a log line
-    return f"{head.split('://')[0]}://...@{tail}" if separator else url
-
-
-def _check_sqlite_path(database: str | None, url: str) -> None:
-    if not database or database == ":memory:":
-        raise InputError(f"store: {url}: expected sqlite:///FILE; several processes share the store")
-    if not Path(database).resolve().parent.is_dir():
-        raise InputError(f"store: {url}: no directory {Path(database).resolve().parent}")
-
-
-def _configure_sqlite(connection: sqlite3.Connection, _record: object) -> None:
-    connection.isolation_level = None  # transactions begin in _begin_sqlite, never behind our back
-    cursor = connection.cursor()
-    for pragma in (
-        f"busy_timeout={BUSY_TIMEOUT_MS}",
-        "journal_mode=WAL",
-        "synchronous=FULL",  # durable_seq must not lie after a power cut
-        "foreign_keys=ON",
-    ):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
-
-
-def _begin_sqlite(connection) -> None:
-    # A writer takes the lock at once: upgrading a read lock later fails without waiting.
-    write = connection.get_execution_options().get("write", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
-
-
-def _make_or_check(engine: Engine) -> None:
+def make_or_check(engine: Engine) -> None:
+    """Makes the tables in an empty database. Raises InputError for tables of another version."""
     try:
         with engine.execution_options(write=True).begin() as connection:
+            if connection.dialect.name == "postgresql":  # SQLite's writers wait for each other as they are
+                connection.execute(select(func.pg_advisory_xact_lock(_MAKING)))
             if not inspect(connection).has_table("meta"):
                 metadata.create_all(connection)
                 connection.execute(insert(meta).values(key="schema_version", value=str(SCHEMA_VERSION)))

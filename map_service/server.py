@@ -44,7 +44,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    store = Store(config.store)
+    store = Store(config.store, config.store_wait_s)
     metrics = ServiceMetrics()
     pool = WorkerPool(config, engine, metrics)
     front = EdgeFront(config, pool, metrics)

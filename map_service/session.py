@@ -54,6 +54,8 @@ class Session:
         self.touched_s = time.monotonic()
         self.state = State.INITIALISING
         self.accounts = accounts
+        self.finishing = False  # Bye was said, its commit is under way
+        self.held: deque[pb.StreamRequest] = deque()  # what waits until the store has taken more of what is applied
         self._engine, self._store, self._tally = engine, store, tally
         self._answers: OrderedDict[int, pb.Odometry] = OrderedDict()
         self._poses: deque[types_pb.StampedPose] = deque(maxlen=WELCOME_POSES)
@@ -201,12 +203,12 @@ class Session:
             self.log.put(self._compose(self.accounts.text_if_due(self._pipeline), finished=False))
 
     def finish(self) -> None:
-        """The run is over: final optimisation and commit; the session is read-only afterwards. Raises as `flush`."""
+        """The run is over: final optimisation, and a commit after which the session is read-only."""
         if self._tracker or self._new_T_map_odom:
             self._pipeline.finish()
         statistics = self.accounts.text(self._pipeline)
         self.log.put(self._compose(statistics, finished=True))
-        self.log.flush()
+        self.finishing = True
 
     def _compose(self, statistics: str, *, finished: bool) -> SessionCommit:
         previous, last = self.log.taken_seq, self.log.applied_seq

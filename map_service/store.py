@@ -12,11 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from sqlalchemy import Connection, Engine, insert, select, update
-from sqlalchemy.exc import DBAPIError, IntegrityError
+from sqlalchemy.exc import IntegrityError
 
 from map_service import schema
+from map_service.database import StoreError, open_engine, reading, store_errors
 from map_service.rows import SessionCommit, insert_rows, unpack_pose
 from map_service.types import FactorRecord, FrameRecord, KeyframeRecord, Snapshot
+
+_RACES = 8  # lost one after the other, when a session is opened by many
 
 
 class FencedError(Exception):
@@ -25,10 +28,6 @@ class FencedError(Exception):
 
 class FinishedError(Exception):
     """The session has ended and is read-only."""
-
-
-class StoreError(Exception):
-    """The store does not answer or refused the write; it may work later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,39 +67,39 @@ class StoredAnswer:
 class Store:
     """One engine in one process. Every method raises StoreError when the database fails."""
 
-    def __init__(self, url: str) -> None:
-        self.engine: Engine = schema.open_engine(url)
+    def __init__(self, url: str, patience_s: float = 0.0) -> None:
+        """Raises InputError; patience_s: how long to wait for a database that does not answer yet."""
+        self.engine: Engine = open_engine(url, patience_s)
         self._writer = self.engine.execution_options(write=True)
+        self._reader = reading(self.engine)
 
     def close(self) -> None:
         self.engine.dispose()
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        try:
-            with self.engine.connect() as connection:
-                yield connection
-        except DBAPIError as error:
-            raise StoreError(str(error.orig)) from error
+        """A transaction that sees one state of the store throughout."""
+        with store_errors(), self._reader.connect() as connection:
+            yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        try:
-            with self._writer.begin() as connection:
-                yield connection
-        except IntegrityError:
-            raise
-        except DBAPIError as error:
-            raise StoreError(str(error.orig)) from error
+        with store_errors(), self._writer.begin() as connection:
+            yield connection
 
     def open_session(self, opening: Opening) -> OpenedSession:
         """Take the session over: its epoch grows by one. Raises FinishedError for one that has ended."""
-        try:
-            return self._open_session(opening)
-        except IntegrityError:  # another owner inserted it in the same moment: now it is there to be updated
-            return self._open_session(opening)
+        for _ in range(_RACES):
+            try:
+                opened = self._open_session(opening)
+            except IntegrityError:  # another owner inserted it in the same moment: now it is there to be updated
+                continue
+            if opened is not None:
+                return opened
+        raise StoreError(f"{opening.session_id} is opened and deleted too often at once")
 
-    def _open_session(self, opening: Opening) -> OpenedSession:
+    def _open_session(self, opening: Opening) -> OpenedSession | None:
+        """None: another owner inserted it between two looks."""
         t = schema.sessions
         with self.writing() as connection:
             taken = connection.execute(
@@ -109,12 +108,14 @@ class Store:
                 .values(epoch=t.c.epoch + 1)
             )
             row = connection.execute(
-                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics).where(t.c.session_id == opening.session_id)
+                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics, t.c.finished).where(
+                    t.c.session_id == opening.session_id
+                )
             ).first()
-            if taken.rowcount == 1 and row is not None:
-                return OpenedSession(*row)
             if row is not None:
-                raise FinishedError(opening.session_id)
+                if row.finished:
+                    raise FinishedError(opening.session_id)
+                return OpenedSession(*row[:4]) if taken.rowcount == 1 else None
             key = connection.execute(insert(t).values(**_new_session(opening))).inserted_primary_key
             assert key is not None
             return OpenedSession(key[0], 1, 0, "")

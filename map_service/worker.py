@@ -48,7 +48,8 @@ def worker_main(spec: WorkerSpec, sock: socket.socket) -> None:
         engine = load_engine(spec.engine, spec.config.pipeline, spec.config.loop_workers)
         engine.warm_up()
         end = WorkerEnd(sock)
-        host = SessionHost(spec.config, engine, Store(spec.config.store), end.send)
+        store = Store(spec.config.store, spec.config.store_wait_s)
+        host = SessionHost(spec.config, engine, store, end.send)
         Worker(host, end, spec.config.limits.worker_queue_messages).run()
         engine.close()
         code = 0

@@ -8,7 +8,31 @@ from typing import Any
 
 import pytest
 
+from map_service.store import Store
 from tests.map_service.harness import Operator, Robot7, Service, hello, new_run
+from tests.postgres import DatabaseServer, database_server
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[DatabaseServer]:
+    server = database_server()
+    yield server
+    server.close()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Of an empty store: a test that takes it runs on both engines."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path}/map.db"
+    return request.getfixturevalue("postgres").empty_database()
+
+
+@pytest.fixture
+def store(url: str) -> Iterator[Store]:
+    opened = Store(url)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture

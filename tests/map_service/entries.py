@@ -1,0 +1,33 @@
+"""Commits with made content, for tests of the store."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from map_service.rows import SessionCommit
+from map_service.store import Opening
+from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord
+from splitslam import se3
+
+OPENING = Opening("r/1", "r", "1", "site", "", "robot: {}")
+
+
+def pose(seed: int) -> np.ndarray:
+    return se3.exp(np.random.default_rng(seed).normal(size=6))
+
+
+def entry(previous: int, last: int, *, keyframes: tuple[int, ...] = (), **changes) -> SessionCommit:
+    """Frames previous + 1 .. last on keyframe 0."""
+    seqs = range(previous + 1, last + 1)
+    commit = Commit(
+        previous,
+        last,
+        [FrameRecord(seq, 1000 * seq, 0, pose(seq), pose(seq + 100), 2) for seq in seqs],
+        [KeyframeRecord(k, previous + 1, 1000 * (previous + 1), pose(1000 + k), bytes([k])) for k in keyframes],
+        [FactorRecord(k, "loop" if k else "prior", b"factor") for k in keyframes],
+        [],
+        f"tracker {last}".encode(),
+    )
+    return replace(SessionCommit(commit, {seq: pose(seq + 200) for seq in seqs}), **changes)
