@@ -63,22 +63,34 @@ class OutputConfig(Model):
 class UplinkConfig(Model):
     """The link to the map service; docs/protocol.md says what the times mean.
 
-    max_kbps: null: no limit. buffer_bytes: frames kept until they are durable. window: before the first Credit.
-    connect_timeout_s: for the very first Welcome; reconnect_timeout_s: for each later outage, null: for ever.
+    max_kbps: null: no limit. buffer_bytes: kept frames that are in memory only, for want of a spool or while its disk
+    fails. copies_bytes: of those on disk, what is in memory as well. window: before the first Credit.
+    connect_timeout_s: for the very first Welcome of a run; reconnect_timeout_s: for each later outage, null: for ever.
     answer_timeout_s: a stream that talks but leaves a frame unanswered for so long is given up.
     """
 
     max_kbps: Positive | None = None
     buffer_bytes: Annotated[int, Field(ge=1)] = 64 * 2**20
+    copies_bytes: Annotated[int, Field(ge=0)] = 4 * 2**20
     window: Annotated[int, Field(ge=1)] = 4
     connect_timeout_s: Positive = 10.0
-    reconnect_timeout_s: Positive | None = 120.0
+    reconnect_timeout_s: Positive | None = None
     welcome_timeout_s: Positive = 0.5
     welcome_timeout_max_s: Positive = 4.0
     watchdog_s: Positive = 1.5
     answer_timeout_s: Positive = 30.0
     backoff_first_s: Positive = 0.1
     backoff_max_s: Positive = 2.0
+
+
+class SpoolConfig(Model):
+    """The disk that keeps frames until they are durable at the map service.
+
+    dir: null: `spool` in the state directory; without a state directory either, frames are kept in memory only.
+    """
+
+    dir: Path | None = None
+    max_bytes: Annotated[int, Field(ge=2**16)] = 2 * 2**30
 
 
 class MetricsConfig(Model):
@@ -114,6 +126,7 @@ class AgentConfig(Model):
     imu: ImuSettings = ImuSettings()
     disable: tuple[Part, ...] = ()
     uplink: UplinkConfig = UplinkConfig()
+    spool: SpoolConfig = SpoolConfig()
     metrics: MetricsConfig = MetricsConfig()
     feed: FeedConfig = FeedConfig()
     log: LogConfig = LogConfig()

@@ -5,23 +5,25 @@ from __future__ import annotations
 import logging
 import sys
 import threading
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
 from edge_agent.check import LiveCheck
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
+from edge_agent.going_on import StartAfter, UnseenMotion
 from edge_agent.imu import make_imu_node
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
-from edge_agent.reader import EventQueue, Reader
-from edge_agent.run_id import RunState
+from edge_agent.reader import EventQueue, Reader, TimedEvent
+from edge_agent.run_store import RunStore
 from edge_agent.sink import AgentSink, Progress
 from edge_agent.sources import Recording, Sequencer, open_recording
 from edge_agent.tally import Tally, stage_summaries
-from edge_agent.uplink import Uplink
+from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
 from edge_agent.wire import WIRE_VERSION
 from splitslam import __version__
@@ -84,11 +86,14 @@ class _Run:
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
         warm_up(robot, config.pipeline, config.imu, beams)
-        self._run_state = RunState(config.state_dir)
-        self._run_id = self._run_state.open()
-        self._uplink = Uplink(config.server, self._hello(robot), config.uplink, metrics)
-        queue = EventQueue(source.queue_scans, source.realtime, metrics)
-        self._queue, self._reader = queue, Reader(recording.events(), queue, source.realtime, source.began_s)
+        hello = self._hello(robot)
+        self._store = RunStore(config, hello, metrics)
+        cleanup.callback(self._store.close)
+        store = self._store
+        self._uplink = Uplink(config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers)
+        self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
+        self._after = StartAfter(0, -(2**62))
+        self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)
         feed = None
         if config.feed.socket is not None:
             feed = PoseFeed(config.feed, config.feed.socket, robot.T_body_lidar, metrics)
@@ -103,9 +108,9 @@ class _Run:
             outputs=outputs,
             feed=feed,
             progress=self._progress,
-            run=self._run_id,
-            run_state=self._run_state,
+            run_id=self._store.run.value,
             reader_cpu_s=lambda: self._reader.cpu_s,
+            keep_run=lambda: self._store.keep(self._uplink.all_on_disk),
             report_drops=lambda: self._uplink.report_drops(self._metrics.all_dropped()),
         )
         cleanup.callback(self._uplink.close)
@@ -115,7 +120,6 @@ class _Run:
         config = self._config
         return pb.Hello(
             robot_id=robot.robot.id,
-            run_id=self._run_id.value,
             robot_file_yaml=robot_to_yaml(robot),
             beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
             wire_version=WIRE_VERSION,
@@ -135,9 +139,18 @@ class _Run:
         self._cleanup.callback(watcher.join)
         self._cleanup.callback(stop.set)  # lets the watcher go
         self._uplink.start()
-        if (welcome := self._uplink.wait_welcome()) is None:
+        if self._store.leftovers is not None:
+            self._store.leftovers.start()
+        try:
+            self._run(stop)
+        except SessionOverError:
+            self._store.over()
+            raise
+
+    def _run(self, stop: threading.Event) -> None:
+        if not self._store.says_how_far and self._uplink.wait_welcome() is None:
             return
-        loop = self._loop(welcome)
+        loop = self._loop()
         self._progress.start(self._recording.scan_count)
         self._reader.start()
         loop.run(self._queue.batches())
@@ -146,14 +159,15 @@ class _Run:
             self._tally.end(self._reader.cpu_s)
             self._nothing_usable()
             self._uplink.report_drops(self._metrics.all_dropped())
+            self._store.say_bye(self._pipeline.seq)
             finished = self._uplink.finish(self._pipeline.seq)
         if finished is not None:
-            self._run_state.forget()
+            self._store.finished()
         else:
             self._tally.end(self._reader.cpu_s)
         self._uplink.close()
         if self._outputs is not None:
-            self._outputs.publish(self._report(welcome.session_id, finished is None))
+            self._outputs.publish(self._report(finished is None))
         self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch(self, stop: threading.Event) -> None:
@@ -161,16 +175,27 @@ class _Run:
         self._reader.stop()
         self._uplink.stop()
 
-    def _loop(self, welcome: pb.Welcome) -> AgentLoop:
-        """A continued run goes on after the last scan that the service has; what was in memory went with the agent."""
-        skip_to_ns = -1
-        if self._run_id.continued and welcome.applied_seq:
-            self._pipeline.seq = welcome.applied_seq
-            self._tally.first_seq = welcome.applied_seq + 1
-            skip_to_ns = max((pose.stamp_ns for pose in welcome.last_poses), default=-1)
-            _log.warning("run %s continued after scan %d", self._run_id.value, welcome.applied_seq)
+    def _events(self) -> Iterator[TimedEvent]:
+        yield from self._after.events(self._recording.events())
+
+    def _loop(self) -> AgentLoop:
+        """A continued run goes on after the last scan that is on disk or that the service has, whichever is newer."""
+        if self._store.run.continued:
+            self._go_on()
         parts = Parts(self._sequencer, self._imu, self._pipeline, self._uplink, self._sink, self._metrics, self._check)
-        return AgentLoop(parts, not self._config.source.realtime, skip_to_ns)
+        return AgentLoop(parts, not self._config.source.realtime, self._after.seq + 1)
+
+    def _go_on(self) -> None:
+        after, newest, welcome = self._after, self._store.spooled, self._uplink.welcome
+        if newest is not None:
+            after.seq, after.stamp_ns = newest.seq, newest.stamp_ns
+        if welcome is not None and welcome.applied_seq > after.seq:
+            after.seq = welcome.applied_seq
+            after.stamp_ns = max((pose.stamp_ns for pose in welcome.last_poses), default=after.stamp_ns)
+        if after.seq:
+            self._pipeline.seq, self._tally.first_seq = after.seq, after.seq + 1
+            self._pipeline.imu = UnseenMotion(self._imu, after.stamp_ns)
+            _log.warning("run %s continued after scan %d", self._store.run.value, after.seq)
 
     def _nothing_usable(self) -> None:
         if self._pipeline.seq == 0:
@@ -182,17 +207,20 @@ class _Run:
 
     @property
     def _scans_read(self) -> int:
-        return self._recording.counts.scans_read - self._reader.passed_scans
+        return self._recording.counts.scans_read - self._after.skipped - self._reader.passed_scans
 
-    def _report(self, session_id: str, stopped: bool) -> dict[str, Any]:
+    def _report(self, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""
         tally, counts = self._tally, self._recording.counts
         recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
         read = self._scans_read
+        welcome = self._uplink.welcome
+        going_on = {"continued": {"after_scan": self._after.seq, "replayed": tally.replayed}} if self._after.seq else {}
         return {
-            "session_id": session_id,
-            "run_id": self._run_id.value,
+            "session_id": welcome.session_id if welcome else "",
+            "run_id": self._store.run.value,
+            **going_on,
             "stopped": stopped,
             "scans": {"read": read, "sent": tally.sent, "mapped": tally.mapped, "dropped": read - tally.mapped},
             "recording_s": recording_s,

@@ -12,10 +12,12 @@ from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.outbox import Outbox
 from edge_agent.pacer import Pacer
+from edge_agent.spool import Spool
 from edge_agent.wire import Answer, answer
 from splitslam.wire import session_pb2 as pb
 
 _REPORT_EVERY_S = 1.0
+BACKLOG_FRAMES = 10
 ENVELOPE_BYTES = 50  # HTTP/2 and gRPC around a message
 
 
@@ -43,22 +45,28 @@ class StreamState:
 class Dialogue:
     """One session over any number of streams. `failure`: why there will be no further one."""
 
-    def __init__(self, hello: pb.Hello, settings: UplinkConfig, metrics: EdgeMetrics) -> None:
+    def __init__(
+        self, hello: pb.Hello, settings: UplinkConfig, metrics: EdgeMetrics, spool: Spool | None = None
+    ) -> None:
         self.hello = hello
-        self.outbox = Outbox(settings.buffer_bytes, settings.window)
+        self.outbox = Outbox(settings.buffer_bytes, settings.window, spool, settings.copies_bytes)
         self.stream = StreamState(0.0, 0.0)
         self.answers: list[Answer] = []
         self.first_welcome: pb.Welcome | None = None
         self.finished: pb.Finished | None = None
         self.failure: str | None = None
+        self.over = False  # the failure is the session's: it will never take another frame
         self.bye: pb.Bye | None = None
         self.want_dense = False
         self.advised_kbps: int | None = None
         self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
         self._pacer = Pacer()
-        self._settings, self._metrics = settings, metrics
+        self._settings, self._metrics, self._spool = settings, metrics, spool
+        if spool is not None:
+            metrics.spool_error_sources.append(spool.errors)
+            metrics.drop("spool_damaged", spool.recovered.damaged)
         self._dropped: dict[str, int] = {}
-        self._reported: dict[str, int] = {}
+        self._reported: tuple[dict[str, int], int] = {}, 0
         self._report_s = float("-inf")
 
     # --- what to say ------------------------------------------------------------------------------------------
@@ -70,9 +78,14 @@ class Dialogue:
 
     def keep(self, frame: pb.Frame, now_s: float) -> None:
         """Takes a frame into the outbox; what has to go for it is counted."""
-        for lost in self.outbox.add(frame, now_s):
-            self._metrics.drop("buffer_full_after_answer" if lost.answered else "buffer_full")
+        self.outbox.add(frame, now_s)
+        self._count_lost()
         self._gauge()
+
+    def _count_lost(self) -> None:
+        for lost in self.outbox.lost:
+            self._metrics.drop(lost.reason)
+        self.outbox.lost.clear()
 
     def set_dropped(self, dropped: Mapping[str, int]) -> None:
         """What the robot has lost since the run began."""
@@ -95,9 +108,11 @@ class Dialogue:
         if not stream.welcomed or stream.bye_sent:
             return None
         if self.report_due(now_s):
-            self._report_s, self._reported = now_s, self._dropped
+            self._report_s, self._reported = now_s, self._owed()
             return pb.StreamRequest(report=self._report())
-        if not self._held_back(now_s) and (frame := self.outbox.next_frame()) is not None:
+        frame = None if self._held_back(now_s) else self.outbox.next_frame()
+        self._count_lost()  # what cannot be read from disk any more
+        if frame is not None:
             if stream.waiting_since_s is None:
                 stream.waiting_since_s = now_s
             return pb.StreamRequest(frame=frame)
@@ -114,10 +129,15 @@ class Dialogue:
         return wait_s > 0
 
     def report_due(self, now_s: float) -> bool:
-        """There is a loss to report; at most once a second, except before Bye."""
-        if self._dropped == self._reported:
+        """There is a loss or a backlog to report; at most once a second, except before Bye."""
+        if self._owed() == self._reported:
             return False
         return self.bye is not None or now_s - self._report_s >= _REPORT_EVERY_S
+
+    def _owed(self) -> tuple[dict[str, int], int]:
+        """What the service is told: losses, and how many frames wait beyond those that always do."""
+        unsent = self.outbox.unsent
+        return self._dropped, unsent if unsent > BACKLOG_FRAMES else 0
 
     def _report(self) -> pb.EdgeReport:
         depth, size = len(self.outbox), self.outbox.bytes
@@ -160,12 +180,14 @@ class Dialogue:
     def _on_welcome(self, welcome: pb.Welcome) -> None:
         if not self.outbox.rewind(welcome.applied_seq, welcome.durable_seq):
             released, durable = self.outbox.released_seq, welcome.durable_seq
+            self.over = True
             self.failure = (
                 f"the session was stored up to scan {released} and now ends at {durable}; expected nothing lost"
             )
             return
         self.stream.welcomed = True
-        self._reported, self._report_s = {}, float("-inf")  # counts since the run began: saying them again is no harm
+        self._reported = ({}, 0)  # counts since the run began: saying them again is no harm
+        self._report_s = float("-inf")
         self._metrics.connects.inc()
         self.first_welcome = self.first_welcome or welcome
 
@@ -198,6 +220,7 @@ class Dialogue:
             self.finished = pb.Finished()  # the answer to our Bye was lost with the stream before
         elif refused.retry_after_ms == 0:
             self.failure = f"the map service refused the session ({name}): {refused.detail}"
+            self.over = refused.reason == pb.REFUSED_REASON_FINISHED
         else:
             self._end(f"refused ({name}): {refused.detail}", refused.retry_after_ms)
 
@@ -209,3 +232,6 @@ class Dialogue:
     def _gauge(self) -> None:
         self._metrics.buffer_frames.set(len(self.outbox))
         self._metrics.buffer_bytes.set(self.outbox.bytes)
+        if self._spool is not None:
+            self._metrics.spool_frames.set(len(self._spool))
+            self._metrics.spool_bytes.set(self._spool.bytes)

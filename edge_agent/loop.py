@@ -104,10 +104,10 @@ class Parts:
 
 
 class AgentLoop:
-    """Runs one recording or one live run; single-threaded. skip_to_ns: scans up to there are mapped already."""
+    """Runs one recording or one live run; single-threaded. first_seq: frames before it are those of another agent."""
 
-    def __init__(self, parts: Parts, lockstep: bool, skip_to_ns: int = -1) -> None:
-        self._parts, self._lockstep, self._skip_to_ns = parts, lockstep, skip_to_ns
+    def __init__(self, parts: Parts, lockstep: bool, first_seq: int = 1) -> None:
+        self._parts, self._lockstep, self._first_seq = parts, lockstep, first_seq
         self._held_back: list[Answer] = []
         self.stopped = False
 
@@ -162,8 +162,6 @@ class AgentLoop:
 
     def _take_packet(self, packet: ScanPacket) -> None:
         parts = self._parts
-        if packet.scan.stamp_ns <= self._skip_to_ns:
-            return
         if self._lockstep:
             seen_seq = parts.pipeline.seq + 1 - _LAG
             if not parts.uplink.wait_answered(seen_seq):
@@ -197,9 +195,11 @@ class AgentLoop:
             parts.metrics.round_trip.observe_s(answer.round_trip_s)
             if answer.reply.rejected:
                 parts.metrics.drop(f"rejected_{answer.reply.rejected}")
-            parts.imu.on_odometry(answer.reply)
+            own = answer.reply.seq >= self._first_seq
+            if own:  # the node has not seen the scans of an agent before
+                parts.imu.on_odometry(answer.reply)
             parts.sink.on_answer(answer)
-            if parts.check is not None:
+            if own and parts.check is not None:
                 parts.check.on_answer(answer)
         parts.metrics.state.set(self._state())
 

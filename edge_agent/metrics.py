@@ -65,6 +65,20 @@ class _Drops(Collector):
         yield family
 
 
+class _SpoolErrors(Collector):
+    """splitslam_edge_spool_errors_total{kind}, as the spools of this run and of those before count them."""
+
+    def __init__(self, sources: list[Tally[str]]) -> None:
+        self._sources = sources
+
+    def collect(self) -> Iterator[CounterMetricFamily]:
+        text = "What the disk did not do, what was damaged on it, and frames that the service refused, by kind"
+        family = CounterMetricFamily("splitslam_edge_spool_errors", text, labels=["kind"])
+        for kind, count in sorted(sum((Tally(source) for source in self._sources), Tally[str]()).items()):
+            family.add_metric([kind], count)
+        yield family
+
+
 class _BackEnd(Collector):
     """Which deskew back end is in force, and what it could not do, as its Image node counts it."""
 
@@ -97,6 +111,8 @@ class EdgeMetrics:
         self.dropped: Tally[str] = Tally()
         self.drop_sources: list[Tally[str]] = [self.dropped]
         self.registry.register(_Drops(self))
+        self.spool_error_sources: list[Tally[str]] = []
+        self.registry.register(_SpoolErrors(self.spool_error_sources))
         self.scans = self._counter("scans", "Scans by what became of them", ["result"])
         self.connects = self._counter("connects", "Streams that were answered with a Welcome")
         self.reconnects = self._counter("reconnects", "Streams that broke", ["cause"])
@@ -104,6 +120,8 @@ class EdgeMetrics:
         self.state = self._gauge("state", "Tracking state, the numbers of splitslam.v1.TrackingState")
         self.buffer_frames = self._gauge("buffer_frames", "Frames kept until they are durable and answered")
         self.buffer_bytes = self._gauge("buffer_bytes", "Bytes of the kept frames")
+        self.spool_frames = self._gauge("spool_frames", "Of the kept frames, those on disk")
+        self.spool_bytes = self._gauge("spool_bytes", "Bytes of the spool's files of this run")
         self.limit_kbps = self._gauge("uplink_limit_kbps", "Budget of the uplink; NaN: none")
         self.withheld_points = self._gauge("withheld_points", "Features that the budget left no room for, so far")
         self.limit_kbps.set(float("nan"))
@@ -127,7 +145,8 @@ class EdgeMetrics:
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Counts something that is lost."""
-        self.dropped[reason] += count
+        if count:
+            self.dropped[reason] += count
 
     def all_dropped(self) -> dict[str, int]:
         """Everything lost so far by reason, also by those who count for themselves (`drop_sources`)."""

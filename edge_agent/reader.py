@@ -102,8 +102,8 @@ class Reader(threading.Thread):
 
     realtime: each event waits until as much time has passed as lies between it and the first in the recording.
     Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
-    began_s: when the first event is due, on the monotonic clock; what is past when the reader gets there is skipped, and
-    its scans are counted in `passed_scans`.
+    began_s: when the first event is due, on the monotonic clock; what is past when the reader gets there is skipped,
+    and its scans are counted in `passed_scans`.
     """
 
     def __init__(

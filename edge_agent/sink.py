@@ -1,4 +1,4 @@
-"""Where the loop's results go: files, the local feed, the run's tally, progress lines, the run's identity."""
+"""Where the loop's results go: files, the local feed, the run's tally, progress lines, what outlives the agent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from edge_agent.feed import PoseFeed
 from edge_agent.loop import Imu
 from edge_agent.outputs import Outputs
-from edge_agent.run_id import RunId, RunState
 from edge_agent.tally import Tally
 from edge_agent.types import EncodedFrame, OdomPoses
 from edge_agent.wire import Answer, frame_message
@@ -58,9 +57,9 @@ class AgentSink:
     outputs: Outputs | None
     feed: PoseFeed | None
     progress: Progress
-    run: RunId
-    run_state: RunState
+    run_id: str
     reader_cpu_s: Callable[[], float]
+    keep_run: Callable[[], None]
     report_drops: Callable[[], None]
     read: int = 0
 
@@ -74,9 +73,9 @@ class AgentSink:
         self.tally.frame(frame)
         if self.outputs is not None:
             self.outputs.odom(frame.stamp_ns, T_odom_lidar)
-        self.run_state.save(self.run)
+        self.keep_run()
         self.report_drops()
-        return frame_message(frame, CODEC_VERSION, self.run.value)
+        return frame_message(frame, CODEC_VERSION, self.run_id)
 
     def on_answer(self, answer: Answer) -> None:
         """The Imu node has the answer."""

@@ -20,7 +20,10 @@ RAW_POINT_BYTES, RAW_IMU_BYTES = 18, 320
 
 @dataclass(slots=True)
 class Tally:
-    """Counts of the scans that went through, and the clocks around them. keep: series by scan as well."""
+    """Counts of the scans that went through, and the clocks around them. keep: series by scan as well.
+
+    first_seq: this agent's first frame; replayed: frames of an agent before that were answered now.
+    """
 
     keep: bool = True
     first_seq: int = 1
@@ -28,6 +31,7 @@ class Tally:
     payload_bytes: int = 0
     mapped: int = 0
     rejected: int = 0
+    replayed: int = 0
     corrections: int = 0
     correction_max_m: float = 0.0
     stamps_ns: list[int] = field(default_factory=list)
@@ -61,6 +65,9 @@ class Tally:
             self.round_trips_ms[answer.reply.seq] = answer.round_trip_s * 1e3
         if answer.reply.rejected:
             self.rejected += 1
+            return
+        if answer.reply.seq < self.first_seq:
+            self.replayed += 1
             return
         self.mapped += 1
         if answer.correction_m is not None:

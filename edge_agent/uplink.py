@@ -9,12 +9,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from edge_agent.backoff import Backoff, welcome_timeout_s
 from edge_agent.config import UplinkConfig, split_server
-from edge_agent.dialogue import Dialogue, StreamState
+from edge_agent.dialogue import BACKLOG_FRAMES, Dialogue, StreamState
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.spool import Spool
 from edge_agent.stream import Stream
 from edge_agent.tcp_meter import TcpBytes, TcpMeter
 from edge_agent.wire import Answer
@@ -22,8 +23,11 @@ from splitslam.errors import InputError
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
-_BACKLOG_FRAMES = 10
 _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: the next failure starts over
+
+
+class SessionOverError(InputError):
+    """The session will never take another frame: it was finished, or the service has lost what it had stored."""
 
 
 class Uplink:
@@ -33,9 +37,19 @@ class Uplink:
     had called durable.
     """
 
-    def __init__(self, server: str, hello: pb.Hello, settings: UplinkConfig, metrics: EdgeMetrics) -> None:
-        self._server, self._settings, self._metrics = server, settings, metrics
-        self._dialogue = Dialogue(hello, settings, metrics)
+    def __init__(
+        self,
+        server: str,
+        hello: pb.Hello,
+        settings: UplinkConfig,
+        metrics: EdgeMetrics,
+        spool: Spool | None = None,
+        shared: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """spool: the run's, with what an agent before has left in it. shared: whether others use the link as well."""
+        self._server, self._settings, self._metrics, self._shared = server, settings, metrics, shared
+        self._dialogue = Dialogue(hello, settings, metrics, spool)
+        self._resumes = len(self._dialogue.outbox) > 0
         self._meter = TcpMeter(*split_server(server))
         self._changed = threading.Condition()  # guards the dialogue and all below
         self._stream: Stream | None = None
@@ -56,6 +70,18 @@ class Uplink:
             self._changed.wait_for(lambda: self._dialogue.first_welcome or self._over)
             self._raise_failure()
             return self._dialogue.first_welcome
+
+    @property
+    def welcome(self) -> pb.Welcome | None:
+        """The first Welcome, if it has come."""
+        with self._changed:
+            return self._dialogue.first_welcome
+
+    @property
+    def all_on_disk(self) -> bool:
+        """Whether every frame that is kept would survive the end of this process."""
+        with self._changed:
+            return self._dialogue.outbox.all_on_disk
 
     def send(self, frame: pb.Frame) -> None:
         """Queues a frame (seq above all before). A full buffer drops the oldest that is not dense, and counts it."""
@@ -85,9 +111,9 @@ class Uplink:
 
     @property
     def backlog(self) -> bool:
-        """Whether frames of an outage still wait to be sent."""
+        """Whether frames of an outage still wait to be sent, this run's or another's."""
         with self._changed:
-            return self._dialogue.outbox.unsent > _BACKLOG_FRAMES
+            return self._dialogue.outbox.unsent > BACKLOG_FRAMES or self._shared()
 
     def wait_answered(self, seq: int) -> bool:
         """Waits until no frame up to `seq` lacks its answer; False when stopped meanwhile."""
@@ -173,7 +199,8 @@ class Uplink:
             with self._changed:
                 if self._over or self._dialogue.finished is not None:
                     return
-                limit_s = s.connect_timeout_s if self._dialogue.first_welcome is None else s.reconnect_timeout_s
+                first = self._dialogue.first_welcome is None and not self._resumes
+                limit_s = s.connect_timeout_s if first else s.reconnect_timeout_s
                 if limit_s is not None and now_s - down_since_s >= limit_s:
                     self._fail(f"expected a map service there, none answered within {limit_s:g} s ({state.ended})")
                     return
@@ -203,7 +230,8 @@ class Uplink:
         return state
 
     def _fail(self, text: str) -> None:
-        self._failure = InputError(f"server {self._server}: {text}")
+        kind = SessionOverError if self._dialogue.over else InputError
+        self._failure = kind(f"server {self._server}: {text}")
         self._changed.notify_all()
 
     # --- called by the stream's threads -----------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""`splitslam demo --chaos`: four made robots, three replicas, Envoy and PostgreSQL; plugs are pulled, and it is shown."""
+"""`splitslam demo --chaos`: four made robots, three replicas, Envoy, PostgreSQL; plugs are pulled, and it is shown."""
 
 from __future__ import annotations
 

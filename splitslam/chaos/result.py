@@ -109,9 +109,9 @@ def seen_by(agent: Agent, account: Account) -> Seen:
 def _answers_s(report: dict[str, Any] | None, online: Trajectory, origin_ns: int) -> NDArray[np.float64]:
     """Of a life that was ended by force only the scans' own times are known: answers came as soon as they could."""
     if report is None:
-        return (online.stamps_ns - origin_ns) * 1e-9
+        return np.asarray((online.stamps_ns - origin_ns) * 1e-9, np.float64)
     trips = zip(report["stamps_ns_by_scan"], report["round_trip_ms_by_scan"], strict=True)
-    return np.array([(ns - origin_ns) * 1e-9 + ms * 1e-3 for ns, ms in trips if ms is not None])
+    return np.array([(ns - origin_ns) * 1e-9 + ms * 1e-3 for ns, ms in trips if ms is not None], np.float64)
 
 
 def _alignment(estimate: Trajectory, truth: Trajectory) -> NDArray[np.float64]:

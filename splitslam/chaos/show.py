@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -17,9 +18,9 @@ from splitslam.chaos.link import Link
 from splitslam.chaos.script import Harm
 from splitslam.chaos.view import PartRow, Point, RobotRow, Snapshot
 from splitslam.chaos.watch import AgentWatch, ReplicaWatch
-from splitslam.stack import Stack
+from splitslam.stack import Stack, StackError
 
-_RESTART_S = 1.0
+_RESTART_S, _TRIES = 1.0, 20
 _TRAIL = 60
 _TRAIL_M = 0.15
 
@@ -119,10 +120,15 @@ class Show:
         return f"{name} killed"
 
     def _again(self, watch: ReplicaWatch) -> None:
-        time.sleep(_RESTART_S)
+        """A supervisor's work: a replica does not start while its store is away, so it is tried until it does."""
         watch.draining = False
-        watch.replica.start()
-        self._note(f"{watch.replica.name} started again")
+        for _ in range(_TRIES):
+            time.sleep(_RESTART_S)
+            with contextlib.suppress(StackError):
+                watch.replica.start()
+                self._note(f"{watch.replica.name} started again")
+                return
+        self._note(f"{watch.replica.name} does not start: {watch.replica.last_line()}")
 
     def _freeze_replica(self, for_s: float) -> str:
         if (watch := self._busiest()) is None:

@@ -20,7 +20,7 @@ def show(result: ChaosResult) -> None:
 
 
 def _faults(result: ChaosResult) -> Table:
-    table = Table("done to it", "at", "for", "longest gap", "drift of any robot's own pose")
+    table = Table("done to it", "at", "for", "longest gap", "drift")
     for column in table.columns[1:]:
         column.justify = "right"
     for fault in result.faults:
@@ -30,7 +30,7 @@ def _faults(result: ChaosResult) -> Table:
 
 
 def _robots(result: ChaosResult) -> Table:
-    table = Table("robot", "scans", "mapped", "lost", "passed while dead", "longest gap", "ATE", "undisturbed")
+    table = Table("robot", "scans", "mapped", "lost", "unseen", "longest gap", "ATE", "undisturbed")
     for column in table.columns[1:]:
         column.justify = "right"
     for robot in result.robots:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from dataclasses import dataclass
@@ -107,5 +108,5 @@ class LightRobot:
     def gap_s(self, since_s: float = 0.0, until_s: float = float("inf")) -> float:
         """The longest time between two answers that reaches into that span, the frames' own period included."""
         times = [heard.at_s for heard in self.heard]
-        pairs = zip(times, times[1:], strict=False)
+        pairs = itertools.pairwise(times)
         return max((b - a for a, b in pairs if b > since_s and a < until_s), default=0.0)

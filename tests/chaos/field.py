@@ -5,18 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from splitslam.chaos.agent import Agent, Drive
 from splitslam.chaos.link import Link
-from splitslam.stack import Stack
+from splitslam.stack import Replica, Stack, StackError
+from splitslam.stack.process import wait_until
 from tests.chaos.audit import Audit, one_owner
 from tests.chaos.fleet import Fleet
 from tests.chaos.invariants import Undisturbed, agent_kept, family, nobody_left
 
-RESTART_S = 1.0
+RESTART_S, _TRIES = 1.0, 20
 AGENT_START_S = 6.0  # interpreter, kernels, the first Welcome; the drive begins after it
 
 
@@ -45,8 +46,11 @@ class Field:
         """What a supervisor does: start it again, after a moment."""
 
         def restart() -> None:
-            time.sleep(RESTART_S)
-            start()
+            for _ in range(_TRIES):  # a replica does not start while its store is away
+                time.sleep(RESTART_S)
+                with suppress(StackError):
+                    start()
+                    return
 
         self._pending.append(self._restarts.submit(restart))
 
@@ -61,6 +65,12 @@ class Field:
             pending.result()
         self._pending.clear()
         self.stack.wait_healthy(20.0)
+        wait_until(lambda: all(map(_has_worker, self.stack.replicas)), 20.0, "a worker in every replica")
+
+
+def _has_worker(replica: Replica) -> bool:
+    workers = replica.workers()
+    return bool(workers) and workers[-1] in family(replica.pid)
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ def play(field: Field, faults: Iterable[Fault]) -> list[Outcome]:
     """Each fault begins when every robot is answered again; every outcome is printed as it is known."""
     outcomes = []
     for fault in faults:
+        field.all_up()
         field.expect(field.fleet.settled(time.monotonic(), _SETTLE_S), f"before {fault.name}: robots unanswered")
         outcomes.append(inflict(field, fault))
         print(outcomes[-1].line(), flush=True)

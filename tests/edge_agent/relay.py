@@ -8,13 +8,17 @@ import threading
 
 
 class CountingRelay:
-    """Listens on a free port, forwards to `target`; `up` and `down` are payload bytes seen so far."""
+    """Listens on a free port, forwards to `target`; `up` and `down` are payload bytes seen so far.
+
+    away: the network is: what connects is turned away, and `cut` breaks what is connected.
+    """
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._target = target
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._sockets: list[socket.socket] = []
         self.up = self.down = 0
+        self.away = False
         threading.Thread(target=self._accept, daemon=True).start()
 
     @property
@@ -27,6 +31,9 @@ class CountingRelay:
                 near, _ = self._listener.accept()
             except OSError:
                 return
+            if self.away:
+                near.close()
+                continue
             far = socket.create_connection(self._target)
             self._sockets += [near, far]
             threading.Thread(target=self._pump, args=(near, far, "up"), daemon=True).start()

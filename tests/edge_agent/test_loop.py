@@ -104,12 +104,15 @@ class FakeUplink:
 class FakeSink:
     def __init__(self) -> None:
         self.states: list[int] = []
+        self.answered: list[int] = []
 
     def on_scan_begun(self) -> None: ...
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: np.ndarray) -> pb.Frame:
         return pb.Frame(seq=frame.seq, stamp_ns=frame.stamp_ns)
 
-    def on_answer(self, answer: Answer) -> None: ...
+    def on_answer(self, answer: Answer) -> None:
+        self.answered.append(answer.reply.seq)
+
     def on_poses(self, poses: OdomPoses, imu: FakeImu, state: int) -> None:
         self.states.append(state)
 
@@ -182,11 +185,16 @@ def test_when_the_uplink_is_stopped_the_loop_ends_without_processing_more():
     assert "scan 3" not in log
 
 
-def test_a_continued_run_skips_the_scans_that_are_mapped():
+def test_answers_to_frames_of_an_agent_before_do_not_reach_the_imu_node():
     p, log = parts()
-    AgentLoop(p, lockstep=True, skip_to_ns=3 * SCAN_NS).run(batches(4))
-    assert [line for line in log if line.startswith("scan")] == ["scan 1"]
-    assert log.count("imu 3") == 4
+    p.pipeline.seq = 3
+    p.uplink.send(pb.Frame(seq=2))
+    p.uplink.send(pb.Frame(seq=3))
+    loop = AgentLoop(p, lockstep=True, first_seq=4)
+    loop.run(batches(1))
+    loop.finish()
+    assert [line for line in log if line.startswith("answer")] == ["answer 4"]
+    assert p.sink.answered == [2, 3, 4]  # type: ignore[attr-defined]
 
 
 def test_while_the_service_does_not_follow_the_state_is_unanchored():

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from edge_agent.outbox import Evicted, Outbox
+from edge_agent.outbox import Lost, Outbox
 from splitslam.wire import session_pb2 as pb
 
 
@@ -87,12 +87,11 @@ def test_a_full_buffer_drops_the_oldest_frame_that_is_not_dense_and_dense_ones_l
     size = frame(1, dense=True).ByteSize() + 8
     outbox = Outbox(limit_bytes=3 * size, window=4)
     dense = {1, 3, 5}
-    lost: list[Evicted] = []
     for seq in range(1, 7):
-        lost += outbox.add(frame(seq, seq in dense), 0.0)
-    assert [e.seq for e in lost] == [2, 4, 6]
-    lost = outbox.add(frame(7, dense=True), 0.0)
-    assert lost == [Evicted(1, answered=False)]
+        outbox.add(frame(seq, seq in dense), 0.0)
+    assert [lost.seq for lost in outbox.lost] == [2, 4, 6]
+    outbox.add(frame(7, dense=True), 0.0)
+    assert outbox.lost[3:] == [Lost(1, "buffer_full")]
 
 
 def test_a_frame_in_flight_is_not_dropped():
@@ -100,7 +99,8 @@ def test_a_frame_in_flight_is_not_dropped():
     outbox.add(frame(1), 0.0)
     assert sent(outbox) == [1]
     outbox.add(frame(2), 0.0)
-    assert [e.seq for e in outbox.add(frame(3), 0.0)] == [2]
+    outbox.add(frame(3), 0.0)
+    assert [lost.seq for lost in outbox.lost] == [2]
 
 
 def test_a_hole_is_declared_by_the_frame_after_it_and_by_no_other():

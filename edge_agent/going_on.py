@@ -1,0 +1,76 @@
+"""How an agent goes on with a run that another began: where its own part starts, and what nobody has seen.
+
+`odom` begins anew at this agent's first scan, as every agent's does. The map service's frame goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge_agent.reader import TimedEvent
+from edge_agent.types import MotionSource
+from splitslam import se3
+from splitslam.features import Motion
+from splitslam.scan import GnssFix, Scan
+
+_LEAD_NS = 500_000_000  # of samples before the first own scan, to level the robot by
+_STEADY_S = 0.3  # so long a turn is taken to go on as it is; beyond, nothing is known of it
+_RATE_RADPS, _SPEED_MPS = 1.5, 10.0  # what a robot may do unseen, 1 sigma
+_LARGEST_RAD = 3.0
+
+
+@dataclass(slots=True)
+class StartAfter:
+    """The last frame of the agent before: its seq and stamp. skipped: scans of a recording up to there, read again."""
+
+    seq: int
+    stamp_ns: int
+    skipped: int = 0
+
+    def events(self, events: Iterator[TimedEvent]) -> Iterator[TimedEvent]:
+        """What a recording holds after that frame, and the samples just before it."""
+        for arrival_ns, event in events:
+            if isinstance(event, Scan):
+                if event.stamp_ns <= self.stamp_ns:
+                    self.skipped += 1
+                    continue
+            else:
+                newest_ns = event.stamp_ns if isinstance(event, GnssFix) else int(event.stamps_ns[-1])
+                if newest_ns <= self.stamp_ns - _LEAD_NS:
+                    continue
+            yield arrival_ns, event
+
+
+class UnseenMotion:
+    """A MotionSource that knows that its node has not seen how the robot came to its first scan."""
+
+    def __init__(self, node: MotionSource, after_ns: int) -> None:
+        """after_ns: stamp of the last frame of the agent before."""
+        self._node = node
+        self._after_ns: int | None = after_ns
+
+    def motion_over(self, start_ns: int, end_ns: int) -> Motion:
+        """See MotionSource; the first motion holds what the scan itself shows of it, and doubt."""
+        motion = self._node.motion_over(start_ns, end_ns)
+        if self._after_ns is None:
+            return motion
+        gap_s, self._after_ns = max((start_ns - self._after_ns) * 1e-9, 1e-3), None
+        return _unseen(motion, gap_s)
+
+
+def _unseen(motion: Motion, gap_s: float) -> Motion:
+    """`motion` after a time in which nobody measured: turned as the scan shows, the way left to the map service.
+
+    The service adds its own last velocity where the edge says that it knows none, and holds it to what accelerations
+    allow (map_service/tracker.py).
+    """
+    knots = motion.knots
+    scan_s = float(knots.offsets_ns[-1] - knots.offsets_ns[0]) * 1e-9
+    rate_radps = (knots.rotation[-1] - knots.rotation[0]) / scan_s
+    turn = np.concatenate([rate_radps * min(gap_s, _STEADY_S), np.zeros(3)])
+    sigma_rad, sigma_m = min(_RATE_RADPS * gap_s, _LARGEST_RAD), _SPEED_MPS * gap_s
+    covariance = np.diag(np.repeat([sigma_rad**2, sigma_m**2], 3))
+    return replace(motion, T_prev_lidar=se3.exp(turn), covariance=covariance, velocity_known=False)

@@ -1,0 +1,322 @@
+"""What has been written to the spool survives: kills, cut-off files, flipped bits, disks that are full or read-only."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge_agent.spool import Spool
+from edge_agent.spool import spool as spool_module
+from splitslam.wire import session_pb2 as pb
+
+ROOM = 1 << 20
+QUICK = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None  # hundreds of small files, each synced at its end
+
+
+def frame(seq: int, size: int = 300, dense: bool = False) -> pb.Frame:
+    payload = bytes((seq * 7 + k) % 256 for k in range(size))
+    return pb.Frame(seq=seq, stamp_ns=seq * 10**8, dense=dense, payload=payload)
+
+
+def kept(folder: Path, max_bytes: int = ROOM) -> dict[int, pb.Frame | None]:
+    """What a new start finds."""
+    spool = Spool(folder, max_bytes)
+    found = {head.seq: spool.get(head.seq) for head in spool.recovered.heads}
+    spool.close()
+    return found
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.seg"))
+
+
+# --- restarts ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_was_put_is_there_after_a_restart_byte_for_byte_and_says_how_far_the_run_came(tmp_path: Path):
+    spool = Spool(tmp_path, ROOM)
+    for seq in range(1, 6):
+        assert spool.put(frame(seq, dense=seq == 4), durable_seq=seq // 2)
+    spool.close()
+    again = Spool(tmp_path, ROOM)
+    assert [(head.seq, head.dense) for head in again.recovered.heads] == [(k, k == 4) for k in range(1, 6)]
+    assert [again.get(seq) for seq in range(1, 6)] == [frame(seq, dense=seq == 4) for seq in range(1, 6)]
+    newest = again.recovered.newest
+    assert newest is not None
+    assert (newest.seq, newest.stamp_ns, again.recovered.durable_seq) == (5, 5 * 10**8, 2)
+    assert again.recovered.says_how_far
+    again.close()
+
+
+def test_frames_that_are_durable_leave_the_disk_but_for_the_file_that_says_how_far_the_run_came(tmp_path: Path):
+    spool = Spool(tmp_path, 8 * 4000)  # files of 4,000 bytes
+    for seq in range(1, 101):
+        spool.put(frame(seq), durable_seq=max(seq - 3, 0))
+        if seq > 3:
+            spool.release(seq - 3)
+        assert spool.bytes <= 2 * 4000
+    for seq in (98, 99, 100):
+        spool.release(seq)
+    spool.close()
+    assert len(files(tmp_path)) == 1
+    again = Spool(tmp_path, 8 * 4000)
+    assert again.recovered.newest is not None
+    assert again.recovered.newest.seq == 100
+    assert again.recovered.durable_seq == 97
+    again.put(frame(101), 100)  # a newer file says it now
+    again.close()
+    assert [head.seq for head in Spool(tmp_path, ROOM).recovered.heads][-1] == 101
+
+
+def test_a_frame_that_was_given_up_does_not_come_back(tmp_path: Path):
+    spool = Spool(tmp_path, ROOM)
+    for seq in range(1, 6):
+        spool.put(frame(seq), 0)
+    spool.give_up(3)
+    spool.close()
+    assert sorted(kept(tmp_path)) == [1, 2, 4, 5]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sizes=st.lists(st.integers(0, 900), min_size=1, max_size=30),
+    gone=st.sets(st.integers(1, 30)),
+    cut=st.floats(0, 1),
+)
+def test_whatever_is_cut_off_the_end_all_before_it_is_recovered(sizes: list[int], gone: set[int], cut: float):
+    with tempfile.TemporaryDirectory(dir=QUICK) as name:
+        folder = Path(name)
+        spool = Spool(folder, 8 * 3000)
+        ends: dict[int, tuple[Path, int]] = {}
+        for seq, size in enumerate(sizes, 1):
+            spool.put(frame(seq, size), 0)
+            last = files(folder)[-1]
+            ends[seq] = (last, last.stat().st_size)
+        for seq in gone & set(ends):
+            spool.give_up(seq)
+        spool.close()
+        last = files(folder)[-1]
+        left = int(cut * last.stat().st_size)
+        os.truncate(last, left)
+        found = kept(folder)
+        whole = {seq for seq, (path, end) in ends.items() if path != last or end <= left}
+        assert set(found) == whole - gone
+        assert all(found[seq] == frame(seq, sizes[seq - 1]) for seq in found)
+
+
+@settings(max_examples=60, deadline=None)
+@given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+def test_a_flipped_bit_costs_the_frame_that_it_hit_and_is_counted(where: float, bit: int):
+    with tempfile.TemporaryDirectory(dir=QUICK) as name:
+        folder = Path(name)
+        spool = Spool(folder, ROOM)
+        ends = [0]
+        for seq in range(1, 21):
+            spool.put(frame(seq), 0)
+            ends.append(spool.bytes)
+        spool.close()
+        (path,) = files(folder)
+        data = bytearray(path.read_bytes())
+        at = int(where * len(data))
+        data[at] ^= 1 << bit
+        path.write_bytes(data)
+        again = Spool(folder, ROOM)
+        lost = next(seq for seq in range(1, 21) if at < ends[seq])
+        found = {head.seq: again.get(head.seq) for head in again.recovered.heads}
+        if at - ends[lost - 1] == 4:  # the mark of a frame that was given up
+            assert set(found) in (set(range(1, 21)), set(range(1, 21)) - {lost})
+        else:
+            assert set(found) == set(range(1, 21)) - {lost}
+            assert again.errors["damaged"] == 1
+        assert all(found[seq] == frame(seq) for seq in found)
+        again.close()
+
+
+def test_damage_that_comes_after_the_start_costs_that_frame_alone(tmp_path: Path):
+    spool = Spool(tmp_path, ROOM)
+    for seq in range(1, 4):
+        spool.put(frame(seq), 0)
+    (path,) = files(tmp_path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    assert [spool.get(seq) is not None for seq in (1, 2, 3)] == [True, False, True]
+    assert spool.errors == {"damaged": 1}
+    spool.close()
+
+
+def test_everything_that_a_killed_process_had_put_is_there(tmp_path: Path):
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom edge_agent.spool import Spool\n"
+        "from tests.edge_agent.test_spool import frame\n"
+        "spool = Spool(Path(sys.argv[1]), 1 << 20)\n"
+        "seq = 0\nwhile True:\n    seq += 1\n    assert spool.put(frame(seq), 0)\n    print(seq, flush=True)\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    for line in child.stdout:
+        if int(line) >= 200:
+            child.send_signal(signal.SIGKILL)
+            break
+    said = [int(line) for line in child.stdout if line.strip()]
+    child.wait()
+    child.stdout.close()
+    found = kept(tmp_path)
+    assert set(range(1, max([200, *said]) + 1)) <= set(found)
+    assert all(found[seq] == frame(seq) for seq in found)
+
+
+# --- room -------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(order=st.lists(st.integers(0, 10**6), min_size=40, max_size=120))
+def test_the_files_stay_within_their_room_whatever_goes_and_lose_nothing_else(order: list[int]):
+    with tempfile.TemporaryDirectory(dir=QUICK) as name:
+        room = 8 * 4000
+        spool = Spool(Path(name), room)
+        here: list[int] = []
+        for seq, dice in enumerate(order, 1):
+            spool.put(frame(seq), 0)
+            here.append(seq)
+            while spool.overfull:
+                spool.give_up(here.pop(dice % len(here)))
+            assert spool.bytes <= room
+        assert [spool.get(seq) for seq in here] == [frame(seq) for seq in here]
+        spool.close()
+        assert sorted(kept(Path(name))) == here
+
+
+# --- disks that fail --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 64 kB, where the test may mount one."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
+    if os.getuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("no file system can be mounted here")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def test_a_full_disk_refuses_frames_without_harm_and_takes_them_again_when_there_is_room(small_disk: Path, caplog):
+    spool = Spool(small_disk / "run", 1 << 20)
+    taken = [seq for seq in range(1, 300) if spool.put(frame(seq), 0)]
+    assert 100 < len(taken) < 220
+    assert taken == list(range(1, len(taken) + 1))
+    assert spool.errors["full"] == 299 - len(taken)
+    assert sum("No space left" in record.message for record in caplog.records) == 1
+    assert all(spool.get(seq) == frame(seq) for seq in taken)
+    for seq in taken:
+        spool.release(seq)
+    assert spool.put(frame(300), 0)
+    assert spool.get(300) == frame(300)
+    assert "takes frames again" in caplog.text
+    spool.close()
+    assert kept(small_disk / "run") == {300: frame(300)}
+
+
+def fill(hog: Path) -> None:
+    with hog.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(bytes(4096))
+
+
+def test_a_disk_that_fills_up_from_elsewhere_is_noticed_and_its_recovery_too(small_disk: Path):
+    spool = Spool(small_disk, ROOM)
+    spool.put(frame(1), 0)
+    hog = small_disk / "hog"
+    fill(hog)
+    refused = [seq for seq in range(2, 20) if not spool.put(frame(seq), 0)]
+    assert len(refused) >= 8  # what the last page of the file still held
+    hog.unlink()
+    assert spool.put(frame(20), 0)
+    assert spool.get(1) == frame(1)
+    spool.close()
+
+
+def failing(error: int, wrong: list[bool]) -> Callable[[int, bytes], int]:
+    """os.write on a disk that fails while `wrong` says so, now and then after half of the bytes."""
+
+    def write(fd: int, data: bytes) -> int:
+        if not wrong:
+            return os.write(fd, data)
+        if error == errno.ENOSPC and len(data) % 2:
+            return os.write(fd, data[: len(data) // 2])
+        raise OSError(error, os.strerror(error))
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (errno.ENOSPC, "full"), (errno.EDQUOT, "full"), (errno.EROFS, "read_only"),
+        (errno.EACCES, "permission"), (errno.EIO, "io"),
+    ],
+)  # fmt: skip
+def test_each_way_to_fail_is_counted_by_its_kind_logged_once_and_leaves_nothing_half_written(
+    tmp_path: Path, caplog, error: int, kind: str
+):
+    wrong: list[bool] = []
+    spool = Spool(tmp_path, ROOM, failing(error, wrong))
+    assert spool.put(frame(1), 0)
+    wrong.append(True)
+    assert not any(spool.put(frame(seq, 300 + seq), 0) for seq in range(2, 12))
+    assert spool.errors == {kind: 10}
+    assert len(caplog.records) == 1
+    wrong.clear()
+    assert spool.put(frame(12), 0)
+    spool.close()
+    assert kept(tmp_path) == {1: frame(1), 12: frame(12)}
+
+
+def test_a_folder_that_could_not_be_made_is_made_when_it_can(tmp_path: Path):
+    spool = Spool(tmp_path / "not" / "yet", ROOM)
+    assert spool.put(frame(1), 0)
+    spool.close()
+    assert kept(tmp_path / "not" / "yet") == {1: frame(1)}
+
+
+# --- power cuts -------------------------------------------------------------------------------------------------------
+
+
+def test_only_frames_that_stay_are_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """While connected a frame is gone before it is old enough: a memory card is hardly written."""
+    now = {"s": 100.0}
+    synced: list[int] = []
+    monkeypatch.setattr(spool_module, "_SYNC_EVERY_S", 3600.0)
+    monkeypatch.setattr(spool_module, "time", SimpleNamespace(monotonic=lambda: now["s"]))
+    monkeypatch.setattr(os, "fsync", synced.append)
+    spool = Spool(tmp_path, ROOM)
+    for seq in range(1, 60):
+        spool.put(frame(seq), 0)
+        now["s"] += 0.1
+        spool.sync_if_old()
+        if seq > 10:
+            spool.release(seq - 10)
+    assert not synced
+    now["s"] += 1.5
+    spool.sync_if_old()
+    assert len(synced) == 2  # the file and its folder
+    spool.sync_if_old()
+    assert len(synced) == 2  # nothing new
+    for seq in range(50, 60):
+        spool.release(seq)
+    spool.close()
+    assert len(synced) == 2
