@@ -25,6 +25,11 @@ class Backoff:
         return self._rng.uniform(0.0, cap_s)
 
 
+def jittered(retry_after_s: float) -> float:
+    """Not before the service's wish, and spread over as long again: it was said to many robots at once."""
+    return random.uniform(retry_after_s, 2.0 * retry_after_s)
+
+
 def welcome_timeout_s(base_s: float, max_s: float, failures: int) -> float:
     """Twice the base, then doubling: a frozen replica is left quickly, a cold service is given time in the end."""
     return min(max(base_s, max_s), base_s * 2.0 ** min(max(0, failures - 1), 60))

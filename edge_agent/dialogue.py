@@ -59,6 +59,7 @@ class Dialogue:
         self.bye: pb.Bye | None = None
         self.want_dense = False
         self.advised_kbps: int | None = None
+        self.replica = ""  # where the service wants the next stream to go
         self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
         self._pacer = Pacer()
         self._settings, self._metrics, self._spool = settings, metrics, spool
@@ -75,6 +76,11 @@ class Dialogue:
         """A new stream opens."""
         self.stream = StreamState(now_s, now_s)
         return self.stream
+
+    def take_replica(self) -> str:
+        """Where to go next, for one try."""
+        replica, self.replica = self.replica, ""
+        return replica
 
     def keep(self, frame: pb.Frame, now_s: float) -> None:
         """Takes a frame into the outbox; what has to go for it is counted."""
@@ -146,8 +152,8 @@ class Dialogue:
     def deadline(self, welcome_within_s: float) -> tuple[float, str]:
         """Until when the stream may go on as it is, and what it then is guilty of."""
         s, stream = self._settings, self.stream
-        if not stream.welcomed:
-            return stream.opened_s + welcome_within_s, f"no Welcome within {welcome_within_s:g} s"
+        if not stream.welcomed:  # a replica that builds a long session again gives signs of life, a frozen one none
+            return stream.last_message_s + welcome_within_s, f"no Welcome within {welcome_within_s:g} s"
         deadline = (stream.last_message_s + s.watchdog_s, f"silent for {s.watchdog_s:g} s")
         if stream.waiting_since_s is None:
             return deadline
@@ -170,6 +176,7 @@ class Dialogue:
         elif kind == "advice":
             self._on_advice(response.advice)
         elif kind == "drain":
+            self.replica = response.drain.replica
             self._end(f"drain: {pb.DrainReason.Name(response.drain.reason)}", response.drain.retry_after_ms)
         elif kind == "refused":
             self._on_refused(response.refused)

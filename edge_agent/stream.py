@@ -13,6 +13,7 @@ from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 
 ROUTE_KEY = "splitslam-route-key"
+REPLICA = "splitslam-replica"  # as Drain.replica said; without it the route key decides
 _log = logging.getLogger(__name__)
 _OPTIONS = [
     ("grpc.use_local_subchannel_pool", 1),  # each attempt gets a connection of its own, not the frozen one again
@@ -30,6 +31,7 @@ def route_key(hello: pb.Hello) -> str:
 class Stream:
     """Opens at once. `next_request` blocks for the next message and returns None at the end of the stream.
 
+    replica: where it shall go, "" for anywhere; once the service has spoken, where it is.
     `on_response` and `on_end` are called on this stream's reader thread; `on_end` once, with gRPC's reason.
     """
 
@@ -37,13 +39,15 @@ class Stream:
         self,
         server: str,
         hello: pb.Hello,
+        replica: str,
         next_request: Callable[[Stream], pb.StreamRequest | None],
         on_response: Callable[[Stream, pb.StreamResponse], None],
         on_end: Callable[[Stream, str], None],
     ) -> None:
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
+        self.replica = replica
         self._channel = grpc.insecure_channel(server, options=_OPTIONS)
-        metadata = ((ROUTE_KEY, route_key(hello)),)
+        metadata = ((ROUTE_KEY, route_key(hello)), *(((REPLICA, replica),) if replica else ()))
         self._call = rpc.EdgeServiceStub(self._channel).Stream(self._requests(), metadata=metadata)
         self._reader = threading.Thread(target=self._read, name="uplink-reader", daemon=True)
         self._reader.start()
@@ -55,7 +59,9 @@ class Stream:
     def _read(self) -> None:
         reason = "ended by the server"
         try:
-            for response in self._call:
+            for number, response in enumerate(self._call):
+                if number == 0:  # now the proxy's word is there; none: it did as it was told
+                    self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
                 self._on_response(self, response)
         except grpc.RpcError as error:
             reason = _reason(error)

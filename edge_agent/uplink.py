@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from edge_agent.backoff import Backoff, welcome_timeout_s
+from edge_agent.backoff import Backoff, jittered, welcome_timeout_s
 from edge_agent.config import UplinkConfig, split_server
 from edge_agent.dialogue import BACKLOG_FRAMES, Dialogue, StreamState
 from edge_agent.metrics import EdgeMetrics
@@ -208,7 +208,7 @@ class Uplink:
                 _log.info("stream to %s broke: %s", self._server, state.ended)
                 if state.other_replica or not state.welcomed:
                     self._dialogue.hello.attempt += 1
-                delay_s = max(backoff.next_s(), state.retry_after_s)
+                delay_s = max(backoff.next_s(), jittered(state.retry_after_s))
                 self._changed.wait_for(lambda: self._closing, timeout=delay_s)
 
     def _one_stream(self, welcome_within_s: float) -> StreamState:
@@ -216,13 +216,16 @@ class Uplink:
         with self._changed:
             state = self._dialogue.begin(time.monotonic())
             callbacks = (self._next_request, self._on_response, self._on_end)
-            stream = self._stream = Stream(self._server, self._dialogue.hello, *callbacks)
+            hello, replica = self._dialogue.hello, self._dialogue.take_replica()
+            stream = self._stream = Stream(self._server, hello, replica, *callbacks)
             while state.ended is None and not self._over and self._dialogue.finished is None:
                 deadline_s, reason = self._dialogue.deadline(welcome_within_s)
                 if (left_s := deadline_s - time.monotonic()) <= 0:
                     state.ended, state.other_replica = reason, True
                     break
                 self._changed.wait(left_s)
+            if not state.other_replica:  # a link that broke: the replica may still hold the session in memory
+                self._dialogue.replica = stream.replica
             self._stream = None  # from here on its callbacks find themselves outdated
             self._changed.notify_all()
         self._meter.discover()

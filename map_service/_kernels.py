@@ -42,11 +42,11 @@ def slot_of(keys, key):
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def insert(keys, moments, points, keyframe, voxel_m, levels, touched):
-    """Adds points (N, 3) to every level; fills `touched` (>= N * levels) with their slots, returns how many.
+    """Adds points (N, 3) to every level; fills `touched` (N * levels) with their slots; returns how many are new.
 
     A slot may be listed more than once; the caller guarantees room for N * levels new voxels.
     """
-    count = 0
+    count, new = 0, 0
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         size = voxel_m
@@ -57,6 +57,7 @@ def insert(keys, moments, points, keyframe, voxel_m, levels, touched):
             if keys[i] == -1:
                 keys[i] = key
                 moments[i, 10] = keyframe
+                new += 1
             dx, dy, dz = x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size
             m = moments[i]
             m[0] += 1.0
@@ -72,7 +73,7 @@ def insert(keys, moments, points, keyframe, voxel_m, levels, touched):
             touched[count] = i
             count += 1
             size *= 2.0
-    return count
+    return new
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

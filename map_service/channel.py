@@ -48,8 +48,15 @@ class Forget:
 
 
 @dataclass(frozen=True, slots=True)
+class HandOver:
+    """Commit the session of this stream, answer Handed; the robot goes elsewhere and the stream ends."""
+
+    stream: int
+
+
+@dataclass(frozen=True, slots=True)
 class DrainAll:
-    """Answer what is queued, commit every session, say Drained, exit."""
+    """Answer what is queued, commit every session, say Handed for each stream and Drained, exit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +83,14 @@ class Abort:
     stream: int
     status: str
     detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """All that was answered on this stream is durable."""
+
+    stream: int
+    durable_seq: int
 
 
 @dataclass(frozen=True, slots=True)

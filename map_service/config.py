@@ -11,6 +11,7 @@ from map_service.settings import PipelineSettings
 from splitslam.config import Model
 
 ENV_PREFIX = "SPLITSLAM_MAP"
+SESSIONS_A_WORKER = 10
 
 
 class MetricsConfig(Model):
@@ -33,12 +34,23 @@ class LimitsConfig(Model):
     window_frames: int = Field(default=16, ge=2, le=1024, description="frames a robot may have unanswered")
     worker_queue_messages: int = Field(default=256, ge=4)
     max_message_bytes: int = Field(default=4 << 20, ge=1 << 16)
-    max_streams: int = Field(default=256, ge=1, description="streams open at once; more are refused: overloaded")
+    max_sessions: int = Field(default=0, ge=0, description="robots served at once; more are refused; 0: by workers")
+    max_delay_s: float = Field(default=1.0, gt=0, description="no new robot while a frame has waited longer than this")
     held_sessions: int = Field(default=64, ge=1, description="sessions a worker keeps in memory without a stream")
     idle_s: float = Field(default=600.0, gt=0, description="how long a worker keeps a session without a stream")
     hello_s: float = Field(default=5.0, gt=0, description="how long a new stream may take to say Hello")
     silent_s: float = Field(default=5.0, gt=0, description="a worker without a sign of life is killed and restarted")
     stall_s: float = Field(default=30.0, gt=0, description="the same for one that works on a single job this long")
+
+
+class ReplicaConfig(Model):
+    """How this service lives with others on the same store (map_service/membership.py)."""
+
+    shared: bool | None = Field(default=None, description="others use the store too; null: unless it is SQLite")
+    address: str = Field(default="", description="HOST:PORT the proxy knows this one by; empty: what it listens on")
+    beat_s: float = Field(default=1.0, gt=0, description="period of its sign of life in the store")
+    lost_beats: int = Field(default=3, ge=2, description="so many of our beats without one of a replica: it is gone")
+    rest_s: float = Field(default=2.0, ge=0, description="shortest time between two sessions that are given away")
 
 
 class AdviceConfig(Model):
@@ -73,9 +85,15 @@ class ServiceConfig(Model):
     log: LogConfig = LogConfig()
     limits: LimitsConfig = LimitsConfig()
     commit: CommitConfig = CommitConfig()
+    replica: ReplicaConfig = ReplicaConfig()
     advice: AdviceConfig = AdviceConfig()
     pipeline: PipelineSettings = PipelineSettings()
 
     @property
     def worker_count(self) -> int:
         return self.workers or max(1, (os.cpu_count() or 2) - 1)
+
+    @property
+    def session_limit(self) -> int:
+        """A robot at 10 Hz keeps a core busy for 6 % of the time; the rest is for loops and for catching up."""
+        return self.limits.max_sessions or SESSIONS_A_WORKER * self.worker_count

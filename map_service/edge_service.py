@@ -5,19 +5,20 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator
+from itertools import zip_longest
 
 import grpc
 from google.protobuf.message import DecodeError as WireError
 
 from map_service.config import ServiceConfig
 from map_service.hello import RefusedError, session_id_of
+from map_service.membership import Peers, as_hint
 from map_service.metrics import ServiceMetrics
 from map_service.streams import End, RobotStream
 from map_service.workers import WorkerPool, WorkerProcess
 from splitslam.wire import session_pb2 as pb
 
-OVERLOADED_RETRY_MS = 1000
-DRAIN_RETRY_MS = 100
+OVERLOADED_RETRY_MS = 50  # the robot goes to another replica at once, and spreads its tries from then on
 
 _log = logging.getLogger(__name__)
 
@@ -30,15 +31,22 @@ class EdgeFront:
         self._draining = False
         self._open = 0
 
+    @property
+    def open(self) -> int:
+        """Streams that are open; may be read by any thread."""
+        return self._open
+
     def handler(self) -> grpc.GenericRpcHandler:
         stream = grpc.stream_stream_rpc_method_handler(self.stream)
         return grpc.method_handlers_generic_handler("splitslam.v1.EdgeService", {"Stream": stream})
 
     async def stream(self, requests: AsyncIterator[bytes], context: grpc.aio.ServicerContext) -> AsyncIterator[bytes]:
+        if self._draining:  # before any message, so that the proxy tries another replica by itself
+            await context.abort(grpc.StatusCode.UNAVAILABLE, "shutting down")
         try:
             hello = await self._hello(requests, context)
             session_id = session_id_of(hello)
-            self._admit()
+            self._admit(session_id)
         except RefusedError as refusal:
             self._count_refusal(refusal.message)
             yield pb.StreamResponse(refused=refusal.message).SerializeToString()
@@ -47,6 +55,7 @@ class EdgeFront:
         self._metrics.streams.set(self._open)
         try:
             worker, stream = await self._pool.open(session_id, hello.SerializeToString())
+            stream.credit(0)  # a sign of life before Welcome: a long session takes a while to be built again
             reader = asyncio.create_task(self._read(requests, worker, stream))
             try:
                 while not isinstance(item := await stream.outbox.get(), End):
@@ -71,12 +80,18 @@ class EdgeFront:
             raise RefusedError(pb.REFUSED_REASON_BAD_HELLO, "expected Hello as the first message of a stream")
         return first.hello
 
-    def _admit(self) -> None:
-        if self._draining:
-            raise RefusedError(pb.REFUSED_REASON_OVERLOADED, "shutting down", OVERLOADED_RETRY_MS)
-        if self._open >= self._config.limits.max_streams:
-            detail = f"{self._open} streams are open, the limit is {self._config.limits.max_streams}"
-            raise RefusedError(pb.REFUSED_REASON_OVERLOADED, detail, OVERLOADED_RETRY_MS)
+    def _admit(self, session_id: str) -> None:
+        """By number and by what is measured; a session that is in memory here is always welcome."""
+        limit_s, delay_s = self._config.limits.max_delay_s, self._pool.delay_s
+        if self._pool.holds(session_id):
+            return
+        if self._open >= self._config.session_limit:
+            detail = f"{self._open} robots are served, the limit is {self._config.session_limit}"
+        elif delay_s > limit_s:
+            detail = f"a frame has waited for {delay_s:.1f} s, the limit is {limit_s:g} s"
+        else:
+            return
+        raise RefusedError(pb.REFUSED_REASON_OVERLOADED, detail, OVERLOADED_RETRY_MS)
 
     def _count_refusal(self, refused: pb.Refused) -> None:
         reason = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
@@ -87,6 +102,8 @@ class EdgeFront:
         """Robot to worker, no faster than frames are answered. A robot that has said all it will stays connected."""
         try:
             async for body in requests:
+                if stream.leaving:  # the next replica gets it
+                    return
                 if pb.StreamRequest.FromString(body).HasField("frame"):
                     await stream.admit()
                 await self._pool.request(worker, stream, body)
@@ -96,9 +113,11 @@ class EdgeFront:
             _log.exception("stream failed", extra={"fields": {"session": stream.session_id}})
             stream.end(grpc.StatusCode.INTERNAL, "the stream failed: see the service's log")
 
-    def drain(self) -> None:
-        """No new streams; those that are open hear that this replica is going."""
+    def drain(self, peers: Peers) -> None:
+        """No new streams, no more frames; robots will hear where to go once their sessions are handed over."""
         self._draining = True
-        drain = pb.Drain(reason=pb.DRAIN_REASON_SHUTDOWN, retry_after_ms=DRAIN_RETRY_MS)
-        for stream in self._pool.streams:
-            stream.put_message(pb.StreamResponse(drain=drain))
+        streams = self._pool.streams
+        for stream, address in zip_longest(streams, peers.rooms(len(streams)), fillvalue=""):
+            assert isinstance(stream, RobotStream)
+            stream.leave(pb.Drain(reason=pb.DRAIN_REASON_SHUTDOWN, replica=as_hint(str(address))))
+            self._metrics.drained.labels("shutdown").inc()

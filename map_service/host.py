@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError as WireError
 
 from map_service.accounts import SessionAccounts
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
@@ -81,6 +81,8 @@ class SessionHost:
                 self._detach(stream)
             case Forget(session_id):
                 self._drop(session_id)
+            case HandOver(stream):
+                self._hand_over(stream)
             case DrainAll():
                 pass
 
@@ -307,12 +309,37 @@ class SessionHost:
                 self.streams.pop(session.stream, None)
             self._released.append(session_id)
 
+    # -- handing over -------------------------------------------------------------------------------------------
+
+    def _hand_over(self, stream: int) -> None:
+        """One session, to another replica. It stays in memory for the case that the robot comes back."""
+        session = self.sessions.get(self.streams.get(stream, ""))
+        if session is None:  # its stream was ended meanwhile
+            return
+        try:
+            session.commit()
+            self._handed(session)
+        except FencedError as error:
+            self._fenced(session, error)
+        except StoreError as error:
+            self._store_failed(session, error)
+
+    def _handed(self, session: Session, within_s: float = FLUSH_S) -> None:
+        """Waits for the commits; what the robot still sends on this stream is for the next replica. Raises as flush."""
+        session.log.flush(within_s)
+        if session.stream is not None:
+            self._send(Handed(session.stream, session.log.durable_seq))
+            self._detach(session.stream)
+
     def drain(self) -> None:
+        """All sessions: the commits are under way together, each robot goes as soon as its own is durable."""
         self._committer.give_up_after(self.config.commit.drain_s)
-        for session in list(self.sessions.values()):
+        sessions = sorted(self.sessions.values(), key=lambda session: session.stream is None)
+        for session in sessions:
+            session.commit()
+        for session in sessions:
             try:
-                session.commit()
-                session.log.flush(self.config.commit.drain_s + FLUSH_S)
+                self._handed(session, self.config.commit.drain_s + FLUSH_S)
             except (FencedError, StoreError) as error:
                 fields = {"session": session.request.session_id, "detail": str(error)}
                 _log.error("not committed at drain", extra={"fields": fields})

@@ -15,7 +15,10 @@ from map_service.settings import LocalMapSettings, VoxelSettings
 
 
 class VoxelMap:
-    """A hash map of voxels with one kind of fit (planes or lines)."""
+    """A hash map of voxels with one kind of fit (planes or lines), made when it is first asked for.
+
+    So a map that is filled with all its keyframes at once, after a restart or a loop, fits each voxel once.
+    """
 
     def __init__(self, settings: VoxelSettings, kind: float) -> None:
         self.settings = settings
@@ -28,39 +31,51 @@ class VoxelMap:
     def _allocate(self, capacity: int) -> None:
         self.keys = np.full(capacity, -1, np.int64)
         self.moments = np.zeros((capacity, 11))
-        self.geometry = np.zeros((capacity, 13))
-        self.used = 0
+        self._geometry = np.zeros((capacity, 13))
+        self._stale: list[NDArray[np.int64]] = []  # slots whose fit is older than their moments
+        self._used = 0
 
     def clear(self) -> None:
         """Forgets everything, keeps the memory."""
         self.keys.fill(-1)
         self.moments.fill(0.0)
-        self.geometry.fill(0.0)
-        self.used = 0
+        self._geometry.fill(0.0)
+        self._stale.clear()
+        self._used = 0
+
+    @property
+    def geometry(self) -> NDArray[np.float64]:
+        """(capacity, 13) the fit of each slot, see kernels.fit."""
+        if self._stale:
+            s, touched = self.settings, np.unique(np.concatenate(self._stale))
+            kernels.fit(self.keys, self.moments, self._geometry, touched, s.voxel_m, self.kind, self.limits)
+            self._stale.clear()
+        return self._geometry
 
     def insert(self, points: NDArray[np.float64], keyframe: int) -> None:
-        """Adds the points (N, 3), m, frame of the map, of a keyframe, and refits what they touched."""
+        """Adds the points (N, 3), m, frame of the map, of a keyframe."""
         s = self.settings
-        room = self.used + len(points) * s.levels
-        if 2 * room > len(self.keys):
-            self._grow(room)
-        touched = np.empty(len(points) * s.levels, np.int64)
-        count = kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, touched)
-        touched = np.unique(touched[:count])
-        self.used += int(np.count_nonzero(self.geometry[touched, 9] == 0.0))  # upper bound of new voxels
-        kernels.fit(self.keys, self.moments, self.geometry, touched, s.voxel_m, self.kind, self.limits)
+        new = len(points) * s.levels
+        if 2 * (self._used + new) > len(self.keys):
+            self._grow(new)
+        touched = np.empty(new, np.int64)
+        self._used += kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, touched)
+        self._stale.append(touched)
 
-    def _grow(self, room: int) -> None:
-        keys, moments, geometry = self.keys, self.moments, self.geometry
+    def _grow(self, new: int) -> None:
+        """A larger table, with room for `new` more voxels."""
+        keys, moments, geometry, stale = self.keys, self.moments, self._geometry, self._stale
         live = np.flatnonzero(keys != -1)
         capacity = len(keys)
-        while capacity < 2 * (room - self.used + len(live)):
+        while capacity < 2 * (len(live) + new):
             capacity *= 2
         self._allocate(capacity)
         slots = np.empty(len(live), np.int64)
         kernels.rehash(self.keys, keys[live], slots)
-        self.moments[slots], self.geometry[slots] = moments[live], geometry[live]
-        self.used = len(live)
+        self.moments[slots], self._geometry[slots] = moments[live], geometry[live]
+        self._used = len(live)
+        if stale:
+            self._stale.append(slots)
 
     def match(self, points: NDArray[np.float64], gate_m: float, slots: NDArray[np.int64]) -> int:
         """Slots (N,) of the fits that points (N, 3) belong to, -1 for none; returns how many matched."""

@@ -35,6 +35,10 @@ class ServiceMetrics:
         self.queue_depth = Gauge("splitslam_map_queue_frames", "Frames waiting for an answer", ["worker"], registry=r)
         self.restarts = Counter("splitslam_map_worker_restarts", "Workers that died", registry=r)
         self.refused = self._counter("splitslam_map_refused", "Streams refused", "reason")
+        self.drained = self._counter("splitslam_map_drained", "Robots sent to another replica", "reason")
+        for reason in ("shutdown", "rebalance"):
+            self.drained.labels(reason)
+        self.replicas = Gauge("splitslam_map_replicas", "Replicas alive by the store; 0: not shared", registry=r)
         self._by_name = {
             "frames": self._counter("splitslam_map_frames", "Frames", "result"),
             "rejected": self._counter("splitslam_map_rejected", "Frames not mapped", "reason"),

@@ -15,7 +15,9 @@ from grpc_reflection.v1alpha import reflection
 from map_service.config import ServiceConfig
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
+from map_service.membership import Membership, own_address
 from map_service.metrics import ServiceMetrics
+from map_service.rebalance import Rebalancer
 from map_service.session_service import SessionFront
 from map_service.store import Store
 from map_service.workers import WorkerPool
@@ -25,6 +27,7 @@ from splitslam.wire import session_pb2_grpc as rpc
 
 SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService")
 _STREAM_GRACE_S = 0.5
+_LEAVE_S = 1.0
 
 HealthServicer = health.aio.HealthServicer  # pyright: ignore[reportAttributeAccessIssue] (its stubs lack it)
 
@@ -62,17 +65,28 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
         scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
+        membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
+        rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
+        if _shared(config, store):
+            membership.start()
         await stopping
         _log.info("draining")
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
-        front.drain()
-        await pool.drain()
+        rebalancing.cancel()
+        front.drain(membership.peers)
+        await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
     finally:
         pool.kill()
         store.close()
         if scrape:
             scrape[0].shutdown()
+
+
+def _shared(config: ServiceConfig, store: Store) -> bool:
+    """Whether other replicas may use the store."""
+    shared = config.replica.shared
+    return store.engine.dialect.name != "sqlite" if shared is None else shared
 
 
 def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> tuple[grpc.aio.Server, Any, str]:

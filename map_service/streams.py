@@ -29,13 +29,21 @@ class RobotStream:
         self.number, self.session_id, self.window = number, session_id, window
         self.outbox: asyncio.Queue[bytes | End] = asyncio.Queue()
         self.durable_seq = 0
+        self.answered = False
         self.ended = False
+        self._leaving: pb.Drain | None = None
+        self._told = False
         self._slots = asyncio.Semaphore(window)
         self._received_s: deque[float] = deque()
 
     @property
     def unanswered(self) -> int:
         return len(self._received_s)
+
+    @property
+    def delay_s(self) -> float:
+        """How long the oldest unanswered frame has waited."""
+        return time.monotonic() - self._received_s[0] if self._received_s else 0.0
 
     async def admit(self) -> None:
         """Wait until the window has room: a robot that sends more than its credit is not read any further."""
@@ -49,6 +57,7 @@ class RobotStream:
     def put_answer(self, body: bytes) -> float | None:
         """Returns how long the frame took since it was received, s."""
         self.put(body)
+        self.answered = True
         if not self._received_s:
             return None
         self._slots.release()
@@ -59,10 +68,32 @@ class RobotStream:
 
     def credit(self, durable_seq: int) -> None:
         """Sign of life."""
-        self.durable_seq = durable_seq
+        self.durable_seq = max(self.durable_seq, durable_seq)
         if self.outbox.qsize() < _MAX_QUEUED:
-            credit = pb.Credit(window=self.window, durable_seq=durable_seq)
+            credit = pb.Credit(window=self.window, durable_seq=self.durable_seq)
             self.put_message(pb.StreamResponse(credit=credit))
+
+    @property
+    def leaving(self) -> bool:
+        """The robot is about to be sent elsewhere: nothing more is read from it."""
+        return self._leaving is not None
+
+    def leave(self, drain: pb.Drain) -> None:
+        """The robot will hear this when its session is handed over."""
+        self._leaving = drain
+
+    def handed(self, durable_seq: int) -> None:
+        """It may go: all that was answered is durable. A robot whose session moves is let go at once."""
+        self.credit(durable_seq)
+        self.tell()
+        if self._leaving is not None and self._leaving.reason == pb.DRAIN_REASON_REBALANCE:
+            self.end()
+
+    def tell(self) -> None:
+        """Says Drain, once."""
+        if self._leaving is not None and not self._told:
+            self._told = True
+            self.put_message(pb.StreamResponse(drain=self._leaving))
 
     def end(self, status: grpc.StatusCode | None = None, detail: str = "") -> None:
         """After what is queued."""

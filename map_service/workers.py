@@ -13,14 +13,29 @@ from typing import Any
 import grpc
 
 from map_service import channel
-from map_service.channel import Abort, Beat, Close, DrainAll, Drained, Forget, Open, Ready, Reply, Request
+from map_service.channel import (
+    Abort,
+    Beat,
+    Close,
+    DrainAll,
+    Drained,
+    Forget,
+    Handed,
+    HandOver,
+    Open,
+    Ready,
+    Reply,
+    Request,
+)
 from map_service.config import ServiceConfig
 from map_service.metrics import ServiceMetrics
 from map_service.streams import RobotStream
 from map_service.worker import WorkerSpec, worker_main
+from splitslam.wire import session_pb2 as pb
 
 _RESTART_CAP_S = 5.0
 _WATCH_S = 0.5
+_HAND_OVER_S = 0.2  # a drained session waits no longer than this for its commit before the robot is sent on
 
 _log = logging.getLogger(__name__)
 
@@ -76,7 +91,7 @@ class WorkerProcess:
                 self.beat_s = time.monotonic()
                 self._metrics.absorb(self.index, message)
                 self._metrics.queue_depth.labels(str(self.index)).set(self.unanswered)
-                self._credit(message.durable)
+                self._credit(dict.fromkeys(self.streams, 0) | message.durable)  # 0: still being opened
                 self.pinned.difference_update(message.released)
                 if message.busy_s > self._config.limits.stall_s:
                     self.kill(f"busy with one job for {message.busy_s:.0f} s")
@@ -84,6 +99,9 @@ class WorkerProcess:
                 self.beat_s = time.monotonic()
                 self.ready.set()
                 _log.info("worker ready", extra={"fields": {"worker": self.index, "pid": message.pid}})
+            case Handed(number, durable_seq):
+                if stream := self.streams.get(number):
+                    stream.handed(durable_seq)
             case Drained():
                 self.drained = True
                 self._credit(message.durable)
@@ -161,11 +179,15 @@ class WorkerPool:
             stream.end(grpc.StatusCode.UNAVAILABLE, detail)
 
     async def _watch(self) -> None:
-        """A worker that gives no sign of life is as good as dead."""
+        """A worker that gives no sign of life is as good as dead. Time in which we were frozen is not its own."""
+        looked_s = time.monotonic()
         while True:
             await asyncio.sleep(_WATCH_S)
+            now_s = time.monotonic()
+            frozen_s, looked_s = max(0.0, now_s - looked_s - 2 * _WATCH_S), now_s
             for worker in self._workers:
-                silent_s = time.monotonic() - worker.beat_s
+                worker.beat_s += frozen_s
+                silent_s = now_s - worker.beat_s
                 if worker.ready.is_set() and silent_s > self._config.limits.silent_s and not worker.drained:
                     worker.kill(f"silent for {silent_s:.1f} s")
                     worker.beat_s = time.monotonic()
@@ -208,13 +230,33 @@ class WorkerPool:
             if session_id in worker.pinned:
                 await worker.send(Forget(session_id))
 
+    async def hand_over(self, stream: RobotStream, drain: pb.Drain) -> None:
+        """Commits the stream's session, says `drain` to its robot and ends the stream."""
+        worker = next((worker for worker in self._workers if stream.number in worker.streams), None)
+        if worker is not None:
+            stream.leave(drain)
+            await worker.send(HandOver(stream.number))
+
+    def holds(self, session_id: str) -> bool:
+        """A worker has it in memory."""
+        return any(session_id in worker.pinned and worker.process.is_alive() for worker in self._workers)
+
+    @property
+    def delay_s(self) -> float:
+        """How long the oldest frame that waits for its answer has waited."""
+        return max((stream.delay_s for stream in self.streams), default=0.0)
+
     def is_open(self, session_id: str) -> bool:
         return any(stream.session_id == session_id for stream in self.streams)
 
     # -- end ----------------------------------------------------------------------------------------------------
 
     async def drain(self) -> None:
-        """Let every worker answer what is queued, commit and exit; kill those that take longer than drain_s."""
+        """Let every worker answer what is queued, commit and exit; kill those that take longer than drain_s.
+
+        Robots hear that they shall leave when their session is handed over: the next replica then has nothing to
+        repeat. A slow store does not keep them.
+        """
         self._draining = True
         for worker in self._workers:
             if worker.ready.is_set():
@@ -222,7 +264,10 @@ class WorkerPool:
             else:
                 worker.process.kill()
         keepers = self._tasks[:-1]
-        await asyncio.wait(keepers, timeout=self._config.drain_s)
+        await asyncio.wait(keepers, timeout=_HAND_OVER_S)
+        for stream in self.streams:
+            stream.tell()
+        await asyncio.wait(keepers, timeout=self._config.drain_s - _HAND_OVER_S)
         self.kill()
         await asyncio.wait(keepers, timeout=1.0)
         self._tasks[-1].cancel()

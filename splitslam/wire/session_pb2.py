@@ -15,7 +15,7 @@ _sym_db = _symbol_database.Default()
 from splitslam.wire import types_pb2 as splitslam_dot_v1_dot_types__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1asplitslam/v1/session.proto\x12\x0csplitslam.v1\x1a\x18splitslam/v1/types.proto\"\x88\x02\n\x05Hello\x12\x10\n\x08robot_id\x18\x01 \x01(\t\x12\x0e\n\x06run_id\x18\x02 \x01(\t\x12\x17\n\x0frobot_file_yaml\x18\x03 \x01(\t\x12\x1b\n\x13\x62\x65\x61m_elevations_rad\x18\x04 \x03(\x02\x12\x14\n\x0cwire_version\x18\x05 \x01(\r\x12\x15\n\rcodec_version\x18\x06 \x01(\r\x12\x0f\n\x07site_id\x18\x07 \x01(\t\x12\x0e\n\x06map_id\x18\x08 \x01(\t\x12\x0f\n\x07\x61ttempt\x18\t \x01(\r\x12\x15\n\ragent_version\x18\n \x01(\t\x12\x0e\n\x06\x64\x65skew\x18\x0b \x01(\t\x12\x0f\n\x07\x64isable\x18\x0c \x03(\t\x12\x10\n\x08lockstep\x18\r \x01(\x08\"\xd4\x01\n\x05\x46rame\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12\r\n\x05\x64\x65nse\x18\x03 \x01(\x08\x12\x15\n\rcodec_version\x18\x04 \x01(\r\x12\x0f\n\x07payload\x18\x05 \x01(\x0c\x12$\n\x05\x66ixes\x18\x06 \x03(\x0b\x32\x15.splitslam.v1.GnssFix\x12(\n\x05wheel\x18\x07 \x01(\x0b\x32\x19.splitslam.v1.WheelMotion\x12\x10\n\x08trace_id\x18\x08 \x01(\t\x12\x13\n\x0b\x66ollows_seq\x18\t \x01(\x04\"\x17\n\x03\x42ye\x12\x10\n\x08last_seq\x18\x01 \x01(\x04\"\xb9\x01\n\nEdgeReport\x12H\n\x11\x64ropped_by_reason\x18\x01 \x03(\x0b\x32-.splitslam.v1.EdgeReport.DroppedByReasonEntry\x12\x14\n\x0cspool_frames\x18\x02 \x01(\x04\x12\x13\n\x0bspool_bytes\x18\x03 \x01(\x04\x1a\x36\n\x14\x44roppedByReasonEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x04:\x02\x38\x01\"\xb4\x01\n\rStreamRequest\x12$\n\x05hello\x18\x01 \x01(\x0b\x32\x13.splitslam.v1.HelloH\x00\x12$\n\x05\x66rame\x18\x02 \x01(\x0b\x32\x13.splitslam.v1.FrameH\x00\x12 \n\x03\x62ye\x18\x03 \x01(\x0b\x32\x11.splitslam.v1.ByeH\x00\x12*\n\x06report\x18\x04 \x01(\x0b\x32\x18.splitslam.v1.EdgeReportH\x00\x42\t\n\x07message\"\xfb\x01\n\x07Welcome\x12\r\n\x05\x65poch\x18\x01 \x01(\x04\x12\x13\n\x0b\x64urable_seq\x18\x02 \x01(\x04\x12\x13\n\x0b\x61pplied_seq\x18\x03 \x01(\x04\x12-\n\nlast_poses\x18\x04 \x03(\x0b\x32\x19.splitslam.v1.StampedPose\x12.\n\rpose_map_odom\x18\x05 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12\x14\n\x0cwire_version\x18\x06 \x01(\r\x12\x15\n\rcodec_version\x18\x07 \x01(\r\x12\x12\n\nsession_id\x18\x08 \x01(\t\x12\x17\n\x0fservice_version\x18\t \x01(\t\"\x87\x03\n\x08Odometry\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12/\n\x0epose_map_lidar\x18\x03 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12.\n\rpose_map_odom\x18\x04 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12\x12\n\ncovariance\x18\x05 \x03(\x02\x12*\n\x05state\x18\x06 \x01(\x0e\x32\x1b.splitslam.v1.TrackingState\x12\x17\n\x0f\x64\x65generate_axes\x18\x07 \x03(\x02\x12,\n\ncorrection\x18\x08 \x01(\x0b\x32\x18.splitslam.v1.Correction\x12\x13\n\x0b\x61pplied_seq\x18\t \x01(\x04\x12\x13\n\x0b\x64urable_seq\x18\n \x01(\x04\x12\x10\n\x08keyframe\x18\x0b \x01(\x08\x12\x11\n\tduplicate\x18\x0c \x01(\x08\x12\x10\n\x08rejected\x18\r \x01(\t\x12\x13\n\x0bmap_version\x18\x0e \x01(\r\"-\n\x06\x43redit\x12\x0e\n\x06window\x18\x01 \x01(\r\x12\x13\n\x0b\x64urable_seq\x18\x02 \x01(\x04\".\n\x06\x41\x64vice\x12\x10\n\x08max_kbps\x18\x01 \x01(\r\x12\x12\n\nwant_dense\x18\x02 \x01(\x08\"J\n\x05\x44rain\x12)\n\x06reason\x18\x01 \x01(\x0e\x32\x19.splitslam.v1.DrainReason\x12\x16\n\x0eretry_after_ms\x18\x02 \x01(\r\"^\n\x07Refused\x12+\n\x06reason\x18\x01 \x01(\x0e\x32\x1b.splitslam.v1.RefusedReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12\x16\n\x0eretry_after_ms\x18\x03 \x01(\r\"R\n\x08\x46inished\x12\x0e\n\x06mapped\x18\x01 \x01(\x04\x12\x11\n\tkeyframes\x18\x02 \x01(\x04\x12\r\n\x05loops\x18\x03 \x01(\x04\x12\x14\n\x0cgnss_factors\x18\x04 \x01(\x04\"\xbd\x02\n\x0eStreamResponse\x12(\n\x07welcome\x18\x01 \x01(\x0b\x32\x15.splitslam.v1.WelcomeH\x00\x12*\n\x08odometry\x18\x02 \x01(\x0b\x32\x16.splitslam.v1.OdometryH\x00\x12&\n\x06\x63redit\x18\x03 \x01(\x0b\x32\x14.splitslam.v1.CreditH\x00\x12&\n\x06\x61\x64vice\x18\x04 \x01(\x0b\x32\x14.splitslam.v1.AdviceH\x00\x12$\n\x05\x64rain\x18\x05 \x01(\x0b\x32\x13.splitslam.v1.DrainH\x00\x12(\n\x07refused\x18\x06 \x01(\x0b\x32\x15.splitslam.v1.RefusedH\x00\x12*\n\x08\x66inished\x18\x07 \x01(\x0b\x32\x16.splitslam.v1.FinishedH\x00\x42\t\n\x07message\"\xbf\x02\n\x0bSessionInfo\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x10\n\x08robot_id\x18\x02 \x01(\t\x12\x0e\n\x06run_id\x18\x03 \x01(\t\x12\x0f\n\x07site_id\x18\x04 \x01(\t\x12\x0e\n\x06map_id\x18\x05 \x01(\t\x12\x10\n\x08\x66inished\x18\x06 \x01(\x08\x12\r\n\x05\x65poch\x18\x07 \x01(\x04\x12\x13\n\x0b\x64urable_seq\x18\x08 \x01(\x04\x12\x16\n\x0e\x66irst_stamp_ns\x18\t \x01(\x03\x12\x15\n\rlast_stamp_ns\x18\n \x01(\x03\x12\x0e\n\x06\x66rames\x18\x0b \x01(\x04\x12\x11\n\tkeyframes\x18\x0c \x01(\x04\x12\r\n\x05loops\x18\r \x01(\x04\x12\x14\n\x0cgnss_factors\x18\x0e \x01(\x04\x12\x13\n\x0bstore_bytes\x18\x0f \x01(\x04\x12\x17\n\x0fstatistics_json\x18\x10 \x01(\t\"\x1e\n\x0bListRequest\x12\x0f\n\x07site_id\x18\x01 \x01(\t\";\n\x0cListResponse\x12+\n\x08sessions\x18\x01 \x03(\x0b\x32\x19.splitslam.v1.SessionInfo\" \n\nGetRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"9\n\x0bGetResponse\x12*\n\x07session\x18\x01 \x01(\x0b\x32\x19.splitslam.v1.SessionInfo\"#\n\rDeleteRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"B\n\x0e\x44\x65leteResponse\x12\x0e\n\x06\x66rames\x18\x01 \x01(\x04\x12\x11\n\tkeyframes\x18\x02 \x01(\x04\x12\r\n\x05\x62ytes\x18\x03 \x01(\x04\"\'\n\x11TrajectoryRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\">\n\x12TrajectoryResponse\x12(\n\x05poses\x18\x01 \x03(\x0b\x32\x19.splitslam.v1.StampedPose\"7\n\x10StreamMapRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x0f\n\x07voxel_m\x18\x02 \x01(\x02\"{\n\x11StreamMapResponse\x12\x10\n\x08keyframe\x18\x01 \x01(\r\x12/\n\x0epose_map_lidar\x18\x02 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12\x0e\n\x06points\x18\x03 \x01(\x0c\x12\x13\n\x0bpoint_count\x18\x04 \x01(\r*b\n\x0b\x44rainReason\x12\x1c\n\x18\x44RAIN_REASON_UNSPECIFIED\x10\x00\x12\x19\n\x15\x44RAIN_REASON_SHUTDOWN\x10\x01\x12\x1a\n\x16\x44RAIN_REASON_REBALANCE\x10\x02*\x98\x02\n\rRefusedReason\x12\x1e\n\x1aREFUSED_REASON_UNSPECIFIED\x10\x00\x12\x1d\n\x19REFUSED_REASON_OVERLOADED\x10\x01\x12\"\n\x1eREFUSED_REASON_UNAUTHENTICATED\x10\x02\x12\x1a\n\x16REFUSED_REASON_VERSION\x10\x03\x12\x18\n\x14REFUSED_REASON_QUOTA\x10\x04\x12\x1b\n\x17REFUSED_REASON_FINISHED\x10\x05\x12\x1c\n\x18REFUSED_REASON_BAD_HELLO\x10\x06\x12\x19\n\x15REFUSED_REASON_FENCED\x10\x07\x12\x18\n\x14REFUSED_REASON_STORE\x10\x08\x32V\n\x0b\x45\x64geService\x12G\n\x06Stream\x12\x1b.splitslam.v1.StreamRequest\x1a\x1c.splitslam.v1.StreamResponse(\x01\x30\x01\x32\xf3\x02\n\x0eSessionService\x12=\n\x04List\x12\x19.splitslam.v1.ListRequest\x1a\x1a.splitslam.v1.ListResponse\x12:\n\x03Get\x12\x18.splitslam.v1.GetRequest\x1a\x19.splitslam.v1.GetResponse\x12\x43\n\x06\x44\x65lete\x12\x1b.splitslam.v1.DeleteRequest\x1a\x1c.splitslam.v1.DeleteResponse\x12Q\n\nTrajectory\x12\x1f.splitslam.v1.TrajectoryRequest\x1a .splitslam.v1.TrajectoryResponse0\x01\x12N\n\tStreamMap\x12\x1e.splitslam.v1.StreamMapRequest\x1a\x1f.splitslam.v1.StreamMapResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1asplitslam/v1/session.proto\x12\x0csplitslam.v1\x1a\x18splitslam/v1/types.proto\"\x88\x02\n\x05Hello\x12\x10\n\x08robot_id\x18\x01 \x01(\t\x12\x0e\n\x06run_id\x18\x02 \x01(\t\x12\x17\n\x0frobot_file_yaml\x18\x03 \x01(\t\x12\x1b\n\x13\x62\x65\x61m_elevations_rad\x18\x04 \x03(\x02\x12\x14\n\x0cwire_version\x18\x05 \x01(\r\x12\x15\n\rcodec_version\x18\x06 \x01(\r\x12\x0f\n\x07site_id\x18\x07 \x01(\t\x12\x0e\n\x06map_id\x18\x08 \x01(\t\x12\x0f\n\x07\x61ttempt\x18\t \x01(\r\x12\x15\n\ragent_version\x18\n \x01(\t\x12\x0e\n\x06\x64\x65skew\x18\x0b \x01(\t\x12\x0f\n\x07\x64isable\x18\x0c \x03(\t\x12\x10\n\x08lockstep\x18\r \x01(\x08\"\xd4\x01\n\x05\x46rame\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12\r\n\x05\x64\x65nse\x18\x03 \x01(\x08\x12\x15\n\rcodec_version\x18\x04 \x01(\r\x12\x0f\n\x07payload\x18\x05 \x01(\x0c\x12$\n\x05\x66ixes\x18\x06 \x03(\x0b\x32\x15.splitslam.v1.GnssFix\x12(\n\x05wheel\x18\x07 \x01(\x0b\x32\x19.splitslam.v1.WheelMotion\x12\x10\n\x08trace_id\x18\x08 \x01(\t\x12\x13\n\x0b\x66ollows_seq\x18\t \x01(\x04\"\x17\n\x03\x42ye\x12\x10\n\x08last_seq\x18\x01 \x01(\x04\"\xb9\x01\n\nEdgeReport\x12H\n\x11\x64ropped_by_reason\x18\x01 \x03(\x0b\x32-.splitslam.v1.EdgeReport.DroppedByReasonEntry\x12\x14\n\x0cspool_frames\x18\x02 \x01(\x04\x12\x13\n\x0bspool_bytes\x18\x03 \x01(\x04\x1a\x36\n\x14\x44roppedByReasonEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x04:\x02\x38\x01\"\xb4\x01\n\rStreamRequest\x12$\n\x05hello\x18\x01 \x01(\x0b\x32\x13.splitslam.v1.HelloH\x00\x12$\n\x05\x66rame\x18\x02 \x01(\x0b\x32\x13.splitslam.v1.FrameH\x00\x12 \n\x03\x62ye\x18\x03 \x01(\x0b\x32\x11.splitslam.v1.ByeH\x00\x12*\n\x06report\x18\x04 \x01(\x0b\x32\x18.splitslam.v1.EdgeReportH\x00\x42\t\n\x07message\"\xfb\x01\n\x07Welcome\x12\r\n\x05\x65poch\x18\x01 \x01(\x04\x12\x13\n\x0b\x64urable_seq\x18\x02 \x01(\x04\x12\x13\n\x0b\x61pplied_seq\x18\x03 \x01(\x04\x12-\n\nlast_poses\x18\x04 \x03(\x0b\x32\x19.splitslam.v1.StampedPose\x12.\n\rpose_map_odom\x18\x05 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12\x14\n\x0cwire_version\x18\x06 \x01(\r\x12\x15\n\rcodec_version\x18\x07 \x01(\r\x12\x12\n\nsession_id\x18\x08 \x01(\t\x12\x17\n\x0fservice_version\x18\t \x01(\t\"\x87\x03\n\x08Odometry\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12/\n\x0epose_map_lidar\x18\x03 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12.\n\rpose_map_odom\x18\x04 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12\x12\n\ncovariance\x18\x05 \x03(\x02\x12*\n\x05state\x18\x06 \x01(\x0e\x32\x1b.splitslam.v1.TrackingState\x12\x17\n\x0f\x64\x65generate_axes\x18\x07 \x03(\x02\x12,\n\ncorrection\x18\x08 \x01(\x0b\x32\x18.splitslam.v1.Correction\x12\x13\n\x0b\x61pplied_seq\x18\t \x01(\x04\x12\x13\n\x0b\x64urable_seq\x18\n \x01(\x04\x12\x10\n\x08keyframe\x18\x0b \x01(\x08\x12\x11\n\tduplicate\x18\x0c \x01(\x08\x12\x10\n\x08rejected\x18\r \x01(\t\x12\x13\n\x0bmap_version\x18\x0e \x01(\r\"-\n\x06\x43redit\x12\x0e\n\x06window\x18\x01 \x01(\r\x12\x13\n\x0b\x64urable_seq\x18\x02 \x01(\x04\".\n\x06\x41\x64vice\x12\x10\n\x08max_kbps\x18\x01 \x01(\r\x12\x12\n\nwant_dense\x18\x02 \x01(\x08\"[\n\x05\x44rain\x12)\n\x06reason\x18\x01 \x01(\x0e\x32\x19.splitslam.v1.DrainReason\x12\x16\n\x0eretry_after_ms\x18\x02 \x01(\r\x12\x0f\n\x07replica\x18\x03 \x01(\t\"^\n\x07Refused\x12+\n\x06reason\x18\x01 \x01(\x0e\x32\x1b.splitslam.v1.RefusedReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12\x16\n\x0eretry_after_ms\x18\x03 \x01(\r\"R\n\x08\x46inished\x12\x0e\n\x06mapped\x18\x01 \x01(\x04\x12\x11\n\tkeyframes\x18\x02 \x01(\x04\x12\r\n\x05loops\x18\x03 \x01(\x04\x12\x14\n\x0cgnss_factors\x18\x04 \x01(\x04\"\xbd\x02\n\x0eStreamResponse\x12(\n\x07welcome\x18\x01 \x01(\x0b\x32\x15.splitslam.v1.WelcomeH\x00\x12*\n\x08odometry\x18\x02 \x01(\x0b\x32\x16.splitslam.v1.OdometryH\x00\x12&\n\x06\x63redit\x18\x03 \x01(\x0b\x32\x14.splitslam.v1.CreditH\x00\x12&\n\x06\x61\x64vice\x18\x04 \x01(\x0b\x32\x14.splitslam.v1.AdviceH\x00\x12$\n\x05\x64rain\x18\x05 \x01(\x0b\x32\x13.splitslam.v1.DrainH\x00\x12(\n\x07refused\x18\x06 \x01(\x0b\x32\x15.splitslam.v1.RefusedH\x00\x12*\n\x08\x66inished\x18\x07 \x01(\x0b\x32\x16.splitslam.v1.FinishedH\x00\x42\t\n\x07message\"\xbf\x02\n\x0bSessionInfo\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x10\n\x08robot_id\x18\x02 \x01(\t\x12\x0e\n\x06run_id\x18\x03 \x01(\t\x12\x0f\n\x07site_id\x18\x04 \x01(\t\x12\x0e\n\x06map_id\x18\x05 \x01(\t\x12\x10\n\x08\x66inished\x18\x06 \x01(\x08\x12\r\n\x05\x65poch\x18\x07 \x01(\x04\x12\x13\n\x0b\x64urable_seq\x18\x08 \x01(\x04\x12\x16\n\x0e\x66irst_stamp_ns\x18\t \x01(\x03\x12\x15\n\rlast_stamp_ns\x18\n \x01(\x03\x12\x0e\n\x06\x66rames\x18\x0b \x01(\x04\x12\x11\n\tkeyframes\x18\x0c \x01(\x04\x12\r\n\x05loops\x18\r \x01(\x04\x12\x14\n\x0cgnss_factors\x18\x0e \x01(\x04\x12\x13\n\x0bstore_bytes\x18\x0f \x01(\x04\x12\x17\n\x0fstatistics_json\x18\x10 \x01(\t\"\x1e\n\x0bListRequest\x12\x0f\n\x07site_id\x18\x01 \x01(\t\";\n\x0cListResponse\x12+\n\x08sessions\x18\x01 \x03(\x0b\x32\x19.splitslam.v1.SessionInfo\" \n\nGetRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"9\n\x0bGetResponse\x12*\n\x07session\x18\x01 \x01(\x0b\x32\x19.splitslam.v1.SessionInfo\"#\n\rDeleteRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"B\n\x0e\x44\x65leteResponse\x12\x0e\n\x06\x66rames\x18\x01 \x01(\x04\x12\x11\n\tkeyframes\x18\x02 \x01(\x04\x12\r\n\x05\x62ytes\x18\x03 \x01(\x04\"\'\n\x11TrajectoryRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\">\n\x12TrajectoryResponse\x12(\n\x05poses\x18\x01 \x03(\x0b\x32\x19.splitslam.v1.StampedPose\"7\n\x10StreamMapRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x0f\n\x07voxel_m\x18\x02 \x01(\x02\"{\n\x11StreamMapResponse\x12\x10\n\x08keyframe\x18\x01 \x01(\r\x12/\n\x0epose_map_lidar\x18\x02 \x01(\x0b\x32\x17.splitslam.v1.Transform\x12\x0e\n\x06points\x18\x03 \x01(\x0c\x12\x13\n\x0bpoint_count\x18\x04 \x01(\r*b\n\x0b\x44rainReason\x12\x1c\n\x18\x44RAIN_REASON_UNSPECIFIED\x10\x00\x12\x19\n\x15\x44RAIN_REASON_SHUTDOWN\x10\x01\x12\x1a\n\x16\x44RAIN_REASON_REBALANCE\x10\x02*\x98\x02\n\rRefusedReason\x12\x1e\n\x1aREFUSED_REASON_UNSPECIFIED\x10\x00\x12\x1d\n\x19REFUSED_REASON_OVERLOADED\x10\x01\x12\"\n\x1eREFUSED_REASON_UNAUTHENTICATED\x10\x02\x12\x1a\n\x16REFUSED_REASON_VERSION\x10\x03\x12\x18\n\x14REFUSED_REASON_QUOTA\x10\x04\x12\x1b\n\x17REFUSED_REASON_FINISHED\x10\x05\x12\x1c\n\x18REFUSED_REASON_BAD_HELLO\x10\x06\x12\x19\n\x15REFUSED_REASON_FENCED\x10\x07\x12\x18\n\x14REFUSED_REASON_STORE\x10\x08\x32V\n\x0b\x45\x64geService\x12G\n\x06Stream\x12\x1b.splitslam.v1.StreamRequest\x1a\x1c.splitslam.v1.StreamResponse(\x01\x30\x01\x32\xf3\x02\n\x0eSessionService\x12=\n\x04List\x12\x19.splitslam.v1.ListRequest\x1a\x1a.splitslam.v1.ListResponse\x12:\n\x03Get\x12\x18.splitslam.v1.GetRequest\x1a\x19.splitslam.v1.GetResponse\x12\x43\n\x06\x44\x65lete\x12\x1b.splitslam.v1.DeleteRequest\x1a\x1c.splitslam.v1.DeleteResponse\x12Q\n\nTrajectory\x12\x1f.splitslam.v1.TrajectoryRequest\x1a .splitslam.v1.TrajectoryResponse0\x01\x12N\n\tStreamMap\x12\x1e.splitslam.v1.StreamMapRequest\x1a\x1f.splitslam.v1.StreamMapResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -24,10 +24,10 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_EDGEREPORT_DROPPEDBYREASONENTRY']._loaded_options = None
   _globals['_EDGEREPORT_DROPPEDBYREASONENTRY']._serialized_options = b'8\001'
-  _globals['_DRAINREASON']._serialized_start=3167
-  _globals['_DRAINREASON']._serialized_end=3265
-  _globals['_REFUSEDREASON']._serialized_start=3268
-  _globals['_REFUSEDREASON']._serialized_end=3548
+  _globals['_DRAINREASON']._serialized_start=3184
+  _globals['_DRAINREASON']._serialized_end=3282
+  _globals['_REFUSEDREASON']._serialized_start=3285
+  _globals['_REFUSEDREASON']._serialized_end=3565
   _globals['_HELLO']._serialized_start=71
   _globals['_HELLO']._serialized_end=335
   _globals['_FRAME']._serialized_start=338
@@ -49,37 +49,37 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_ADVICE']._serialized_start=1643
   _globals['_ADVICE']._serialized_end=1689
   _globals['_DRAIN']._serialized_start=1691
-  _globals['_DRAIN']._serialized_end=1765
-  _globals['_REFUSED']._serialized_start=1767
-  _globals['_REFUSED']._serialized_end=1861
-  _globals['_FINISHED']._serialized_start=1863
-  _globals['_FINISHED']._serialized_end=1945
-  _globals['_STREAMRESPONSE']._serialized_start=1948
-  _globals['_STREAMRESPONSE']._serialized_end=2265
-  _globals['_SESSIONINFO']._serialized_start=2268
-  _globals['_SESSIONINFO']._serialized_end=2587
-  _globals['_LISTREQUEST']._serialized_start=2589
-  _globals['_LISTREQUEST']._serialized_end=2619
-  _globals['_LISTRESPONSE']._serialized_start=2621
-  _globals['_LISTRESPONSE']._serialized_end=2680
-  _globals['_GETREQUEST']._serialized_start=2682
-  _globals['_GETREQUEST']._serialized_end=2714
-  _globals['_GETRESPONSE']._serialized_start=2716
-  _globals['_GETRESPONSE']._serialized_end=2773
-  _globals['_DELETEREQUEST']._serialized_start=2775
-  _globals['_DELETEREQUEST']._serialized_end=2810
-  _globals['_DELETERESPONSE']._serialized_start=2812
-  _globals['_DELETERESPONSE']._serialized_end=2878
-  _globals['_TRAJECTORYREQUEST']._serialized_start=2880
-  _globals['_TRAJECTORYREQUEST']._serialized_end=2919
-  _globals['_TRAJECTORYRESPONSE']._serialized_start=2921
-  _globals['_TRAJECTORYRESPONSE']._serialized_end=2983
-  _globals['_STREAMMAPREQUEST']._serialized_start=2985
-  _globals['_STREAMMAPREQUEST']._serialized_end=3040
-  _globals['_STREAMMAPRESPONSE']._serialized_start=3042
-  _globals['_STREAMMAPRESPONSE']._serialized_end=3165
-  _globals['_EDGESERVICE']._serialized_start=3550
-  _globals['_EDGESERVICE']._serialized_end=3636
-  _globals['_SESSIONSERVICE']._serialized_start=3639
-  _globals['_SESSIONSERVICE']._serialized_end=4010
+  _globals['_DRAIN']._serialized_end=1782
+  _globals['_REFUSED']._serialized_start=1784
+  _globals['_REFUSED']._serialized_end=1878
+  _globals['_FINISHED']._serialized_start=1880
+  _globals['_FINISHED']._serialized_end=1962
+  _globals['_STREAMRESPONSE']._serialized_start=1965
+  _globals['_STREAMRESPONSE']._serialized_end=2282
+  _globals['_SESSIONINFO']._serialized_start=2285
+  _globals['_SESSIONINFO']._serialized_end=2604
+  _globals['_LISTREQUEST']._serialized_start=2606
+  _globals['_LISTREQUEST']._serialized_end=2636
+  _globals['_LISTRESPONSE']._serialized_start=2638
+  _globals['_LISTRESPONSE']._serialized_end=2697
+  _globals['_GETREQUEST']._serialized_start=2699
+  _globals['_GETREQUEST']._serialized_end=2731
+  _globals['_GETRESPONSE']._serialized_start=2733
+  _globals['_GETRESPONSE']._serialized_end=2790
+  _globals['_DELETEREQUEST']._serialized_start=2792
+  _globals['_DELETEREQUEST']._serialized_end=2827
+  _globals['_DELETERESPONSE']._serialized_start=2829
+  _globals['_DELETERESPONSE']._serialized_end=2895
+  _globals['_TRAJECTORYREQUEST']._serialized_start=2897
+  _globals['_TRAJECTORYREQUEST']._serialized_end=2936
+  _globals['_TRAJECTORYRESPONSE']._serialized_start=2938
+  _globals['_TRAJECTORYRESPONSE']._serialized_end=3000
+  _globals['_STREAMMAPREQUEST']._serialized_start=3002
+  _globals['_STREAMMAPREQUEST']._serialized_end=3057
+  _globals['_STREAMMAPRESPONSE']._serialized_start=3059
+  _globals['_STREAMMAPRESPONSE']._serialized_end=3182
+  _globals['_EDGESERVICE']._serialized_start=3567
+  _globals['_EDGESERVICE']._serialized_end=3653
+  _globals['_SESSIONSERVICE']._serialized_start=3656
+  _globals['_SESSIONSERVICE']._serialized_end=4027
 # @@protoc_insertion_point(module_scope)

@@ -195,12 +195,14 @@ class Advice(_message.Message):
     def __init__(self, max_kbps: _Optional[int] = ..., want_dense: bool = ...) -> None: ...
 
 class Drain(_message.Message):
-    __slots__ = ("reason", "retry_after_ms")
+    __slots__ = ("reason", "retry_after_ms", "replica")
     REASON_FIELD_NUMBER: _ClassVar[int]
     RETRY_AFTER_MS_FIELD_NUMBER: _ClassVar[int]
+    REPLICA_FIELD_NUMBER: _ClassVar[int]
     reason: DrainReason
     retry_after_ms: int
-    def __init__(self, reason: _Optional[_Union[DrainReason, str]] = ..., retry_after_ms: _Optional[int] = ...) -> None: ...
+    replica: str
+    def __init__(self, reason: _Optional[_Union[DrainReason, str]] = ..., retry_after_ms: _Optional[int] = ..., replica: _Optional[str] = ...) -> None: ...
 
 class Refused(_message.Message):
     __slots__ = ("reason", "detail", "retry_after_ms")

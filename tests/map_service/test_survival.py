@@ -206,9 +206,9 @@ def test_a_service_that_drains_answers_what_it_has_and_takes_no_new_stream(servi
     assert service.process is not None
     service.process.terminate()
     robot.next("drain")
-    refused = connect(service).next("refused")
-    assert refused.reason == pb.REFUSED_REASON_OVERLOADED
-    assert refused.retry_after_ms > 0
+    late = connect(service)
+    assert late.end() == grpc.StatusCode.UNAVAILABLE
+    assert late.inbox.get() is None, "without a message, so that a proxy may try elsewhere"
     assert robot.next("odometry").seq == 1
     assert service.process.wait(10) == 0
 
@@ -293,14 +293,29 @@ def test_sessions_are_spread_over_the_workers(start_service: Callable[..., Servi
         robot.close()
 
 
-def test_a_stream_over_the_limit_is_refused_with_a_time_to_come_back(
+def test_a_robot_over_the_limit_is_refused_with_a_time_to_come_back_but_never_one_that_is_served_already(
     start_service: Callable[..., Service], connect: Connect
 ) -> None:
-    service = start_service(limits={"max_streams": 1})
+    service = start_service(limits={"max_sessions": 1})
     connect(service).next("welcome")
-    refused = connect(service).next("refused")
+    refused = connect(service, run_id=new_run()).next("refused")
     assert refused.reason == pb.REFUSED_REASON_OVERLOADED
     assert refused.retry_after_ms > 0
+    assert connect(service).next("welcome").epoch == 2
+    assert service.metrics()['splitslam_map_refused_total{reason="overloaded"}'] == 1
+
+
+def test_no_new_robot_is_taken_while_a_frame_waits_too_long(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
+    service = start_service(limits={"max_delay_s": 0.3})
+    first = connect(service)
+    first.next("welcome")
+    first.send(frame(1, payload("sleep", seconds=1.5)))
+    time.sleep(0.6)
+    assert "has waited" in connect(service, run_id=new_run()).next("refused").detail
+    assert first.next("odometry").seq == 1
+    connect(service, run_id=new_run()).next("welcome")
 
 
 def test_a_detached_session_is_let_go_after_its_time_and_restored_when_the_robot_comes_back(
