@@ -62,7 +62,7 @@ class Catalog:
                 return None
             removed = {
                 table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
-                for table in (schema.frames, schema.clouds, schema.keyframes, schema.factors)
+                for table in schema.SESSION_TABLES
             }
             connection.execute(delete(t).where(t.c.id == row.id))
             return Deleted(removed["frames"], removed["keyframes"], row.bytes)

@@ -50,6 +50,7 @@ class LoopCloser:
         self._looked_m = 0.0  # way to the place that was compared last
         self._patience_m = settings.spacing_m
         self._pending: deque[_Pending] = deque()
+        self._stored_places = 0
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -148,14 +149,27 @@ class LoopCloser:
             "pending": [[r.due_seq, r.older, r.newer, r.by_looks, r.T_older_newer.tolist()] for r in pending],
         }
 
-    def load(self, data: dict, keyframes: Keyframes, poses: list[Array]) -> None:
-        """The reverse of dump, once keyframes and poses are there; a state of the first release has fewer keys."""
+    def take_places(self) -> list[tuple[int, bytes]]:
+        """(keyframe, descriptor) of the places described since the last call."""
+        new = range(self._stored_places, len(self.places))
+        self._stored_places = len(self.places)
+        return [(place, self.places.packed(place)) for place in new]
+
+    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: list[Array]) -> None:
+        """The reverse of dump, once keyframes and poses are there; a state of the first release has fewer keys.
+
+        places: descriptors from the store; those that it lacks are made again, for which every cloud is needed.
+        """
         self.last_used = int(data["last_used"])
         self._looked_m = float(data.get("looked_m", self._looked_m))
         self._patience_m = float(data.get("patience_m", self._patience_m))
         self.gate.load(data.get("gate", {"refused": data.get("rejected", {}), "waiting": [], "last_doubt": -1}))
-        for _ in range(int(data.get("places", max(len(keyframes) - self.settings.places.keyframes, 0)))):
-            self._describe(keyframes, poses)
+        count = int(data.get("places", max(len(keyframes) - self.settings.places.keyframes, 0)))
+        for packed in places[:count]:
+            self.places.add_packed(packed)
+        self._stored_places = len(self.places)
+        while len(self.places) < count and self._describe(keyframes, poses) is not None:
+            pass
         for due_seq, older, newer, *known in data["pending"]:
             by_looks, guess = (bool(known[0]), np.array(known[1])) if known else (False, None)
             T = se3.inv(poses[older]) @ poses[newer] if guess is None else guess

@@ -20,7 +20,7 @@ from sqlalchemy.exc import (
     TimeoutError,
 )
 
-from map_service.schema import make_or_check
+from map_service.migrations import make_or_check
 from splitslam.errors import InputError
 
 _EXPECTED = "expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"

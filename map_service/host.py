@@ -203,8 +203,13 @@ class SessionHost:
         name = session.request.session_id
         try:
             answer = session.apply(frame, poisoned=self._poison.get(name) == frame.seq)
-        except (SequenceGapError, StoreError):
+        except SequenceGapError:
             raise
+        except StoreError as error:
+            self._store_failed(session, error)
+            if frame.seq > session.log.applied_seq:  # it failed half way through the pipeline, looking for a cloud
+                self._drop(name)
+            return
         except Exception:
             # The pipeline's state cannot be trusted any more. The robot resumes from the store and sends the
             # frame again; if it fails a second time it is rejected.

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service.cloud import decode_cloud, encode_cloud
+from map_service.cloud import encode_cloud
 from map_service.drift import MapDrift
 from map_service.graph import PoseGraph
-from map_service.keyframes import Keyframe
+from map_service.keyframes import Cloud, Keyframe, Keyframes
 from map_service.tracker import TrackerState
 from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot
 from splitslam import se3
@@ -52,9 +52,8 @@ class CommitLog:
 
     def keyframe(self, keyframe: Keyframe, T_map_lidar: Array) -> None:
         """Notes a keyframe that is new, or new again (the store replaces it)."""
-        cloud = encode_cloud(
-            keyframe.corners_lidar, keyframe.surfs_lidar, keyframe.corners_intensity, keyframe.surfs_intensity
-        )
+        seen = keyframe.cloud
+        cloud = encode_cloud(seen.corners_lidar, seen.surfs_lidar, seen.corners_intensity, seen.surfs_intensity)
         self._keyframes.append(KeyframeRecord(keyframe.index, keyframe.seq, keyframe.stamp_ns, T_map_lidar, cloud))
         if keyframe.index == len(self._stored):
             self._stored.append(T_map_lidar)
@@ -66,17 +65,16 @@ class CommitLog:
         age_s = (self._frames[-1].stamp_ns - self._first_ns) * 1e-9
         return bool(self._keyframes) or len(self._frames) >= frames or age_s >= seconds
 
-    def take(self, graph: PoseGraph, tracker: bytes) -> Commit:
-        """Hands over everything new and starts again."""
+    def take(self, graph: PoseGraph, tracker: bytes, places: list[tuple[int, bytes]]) -> Commit:
+        """Hands over everything new and starts again; `places` are the new ones."""
         moved = []
         for i, (stored, now) in enumerate(zip(self._stored, graph.poses, strict=True)):
             if np.abs(stored - now).max() > _MOVED:
                 moved.append((i, now))
                 self._stored[i] = now
         last_seq = self._frames[-1].seq if self._frames else self.last_seq
-        commit = Commit(
-            self.last_seq, last_seq, self._frames, self._keyframes, graph.records[self._factors :], moved, tracker
-        )
+        factors = graph.records[self._factors :]
+        commit = Commit(self.last_seq, last_seq, self._frames, self._keyframes, factors, moved, tracker, places)
         self.last_seq, self._factors = last_seq, len(graph.records)
         self._frames, self._keyframes = [], []
         return commit
@@ -133,20 +131,10 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     pipeline.T_map_local = np.array(data["T_map_local"])
     pipeline.T_map_odom = np.array(data["T_map_odom"])
     back = se3.inv(pipeline.T_map_local)
+    pipeline.keyframes = Keyframes(snapshot.fetch_clouds)
     for record in snapshot.keyframes:
-        points, intensity, is_corner = decode_cloud(record.cloud)
-        pipeline.keyframes.append(
-            Keyframe(
-                record.index,
-                record.seq,
-                record.stamp_ns,
-                back @ pipeline.graph.poses[record.index],
-                points[is_corner],
-                points[~is_corner],
-                intensity[is_corner],
-                intensity[~is_corner],
-            )
-        )
+        cloud = None if record.cloud is None else Cloud.decoded(record.cloud)
+        pipeline.keyframes.append(record.seq, record.stamp_ns, back @ pipeline.graph.poses[record.index], cloud)
     pipeline.tracker.state = TrackerState(
         np.array(data["T_local_lidar"]),
         np.array(data["T_local_keyframe"]),
@@ -164,12 +152,12 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         pipeline.gnss.load(data["gnss"])
     pipeline.leveller.load(data["leveller"])
     if pipeline.closer is not None and data["closer"] is not None:
-        pipeline.closer.load(data["closer"], pipeline.keyframes, pipeline.graph.poses)
+        pipeline.closer.load(data["closer"], snapshot.places, pipeline.keyframes, pipeline.graph.poses)
     pipeline.stats.loops = int(data["loops"])
     pipeline.stats.gnss_factors = int(data["gnss_factors"])
     pipeline.stats.gravity_factors = int(data["gravity_factors"])
     pipeline.stats.corrections = dict(data["corrections"])
     pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
-    pipeline.frames = list(snapshot.frames)
+    pipeline.mapped_before = snapshot.mapped
     pipeline.log.resume(snapshot, poses)
     pipeline.fill_local_map()

@@ -58,7 +58,8 @@ class MapPipeline:
         self.T_map_odom = np.eye(4)
         self.found = False  # has the robot been lost, and found again, since the last keyframe?
         self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
-        self.frames: list[FrameRecord] = []
+        self.frames: list[FrameRecord] = []  # since this process has the session
+        self.mapped_before = 0
         self.stats = PipelineStatistics()
         self.log = persistence.CommitLog()
 
@@ -252,9 +253,8 @@ class MapPipeline:
         centre = state.T_local_lidar[:3, 3]
         self.built_at_m = centre.copy()
         self.tracker.local_map.clear()
-        for i in self.keyframes.within(centre, self.settings.tracker.local_map.radius_m):
-            k = self.keyframes[i]
-            self.tracker.insert(i, k.T_local_lidar, k.corners_lidar, k.surfs_lidar)
+        for k in self.keyframes.within(centre, self.settings.tracker.local_map.radius_m):
+            self.tracker.insert(k.index, k.T_local_lidar, k.cloud.corners_lidar, k.cloud.surfs_lidar)
 
     # --- answers ----------------------------------------------------------------------------------------------
 
@@ -286,7 +286,7 @@ class MapPipeline:
             self._correct(cause)
 
     def trajectory(self) -> list[tuple[int, int, Array]]:
-        """(seq, stamp_ns, T_map_lidar) of every mapped frame, by the graph as it is now."""
+        """(seq, stamp_ns, T_map_lidar) of every frame mapped since the start or the restart, by the graph of now."""
         poses = self.graph.poses
         return [(f.seq, f.stamp_ns, poses[f.keyframe] @ f.T_keyframe_lidar) for f in self.frames]
 
@@ -294,7 +294,8 @@ class MapPipeline:
         """Counts and times for reports and metrics (JSON-ready)."""
         rejected = {} if self.gnss is None else dict(self.gnss.rejected)
         loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
-        report = self.stats.report(len(self.frames), len(self.keyframes), rejected, loops_rejected)
+        mapped = self.mapped_before + len(self.frames)
+        report = self.stats.report(mapped, len(self.keyframes), rejected, loops_rejected)
         if self.closer is not None:
             report["loops_tried"], report["loops_waiting"] = dict(self.closer.tried), len(self.closer.gate.waiting)
         return {**report, "loop_keyframes": [list(pair) for pair in self.graph.loops]}
@@ -308,7 +309,8 @@ class MapPipeline:
 
     def take_commit(self) -> Commit:
         """Everything since the previous commit."""
-        return self.log.take(self.graph, persistence.dump(self))
+        places = [] if self.closer is None else self.closer.take_places()
+        return self.log.take(self.graph, persistence.dump(self), places)
 
     @classmethod
     def restore(

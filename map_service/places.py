@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from map_service import _place_kernels as kernels
 from map_service.settings import PlaceSettings
 from splitslam import se3
+from splitslam.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -44,10 +45,28 @@ class PlaceIndex:
 
     def add(self, points_level: NDArray[np.float32]) -> None:
         """Describes the next place: points (N, 3), m, around the sensor, z up."""
+        self._append(*self._describe(points_level, np.zeros(2)))
+
+    def packed(self, place: int) -> bytes:
+        """A description as it is stored: spectrum complex64, key float32, little-endian; 5 kB."""
+        return self._spectra[place].astype("<c8").tobytes() + self._keys[place].astype("<f4").tobytes()
+
+    def add_packed(self, data: bytes) -> None:
+        """Adds the next place from what `packed` made. Raises DataError for another length."""
+        spectrum, key = self._spectra[0], self._keys[0]
+        if len(data) != spectrum.nbytes + key.nbytes:
+            raise DataError(
+                "corrupt", f"place descriptor of {len(data)} bytes: expected {spectrum.nbytes + key.nbytes}"
+            )
+        self._append(
+            np.frombuffer(data, "<c8", spectrum.size).reshape(spectrum.shape),
+            np.frombuffer(data, "<f4", key.size, spectrum.nbytes),
+        )
+
+    def _append(self, spectrum: NDArray, key: NDArray) -> None:
         if self._count == len(self._keys):
             self._spectra = np.concatenate([self._spectra, np.zeros_like(self._spectra)])
             self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
-        spectrum, key = self._describe(points_level, np.zeros(2))
         self._spectra[self._count], self._keys[self._count] = spectrum, key
         self._count += 1
 

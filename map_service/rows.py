@@ -18,12 +18,13 @@ _FRAME_ROW_BYTES = 3 * 56 + 40
 class SessionCommit:
     """The pipeline's commit, and what the session itself knows of the same frames.
 
-    T_map_odom: (4, 4) by seq, of every frame in `commit`. rejected: (seq, stamp_ns, reason).
+    T_map_odom: (4, 4) by seq, of every frame in `commit`. rejected: (seq, stamp_ns, reason). holes: (seq, follows_seq).
     """
 
     commit: Commit
     T_map_odom: dict[int, np.ndarray]
     rejected: list[tuple[int, int, str]] = field(default_factory=list)
+    holes: list[tuple[int, int]] = field(default_factory=list)
     statistics: str = ""
     finished: bool = False
 
@@ -31,8 +32,9 @@ class SessionCommit:
     def bytes(self) -> int:
         """Size of what it adds to the store, without the database's own overhead."""
         return (
-            sum(len(k.cloud) + 56 for k in self.commit.keyframes)
+            sum(len(k.cloud or b"") + 56 for k in self.commit.keyframes)
             + sum(len(f.payload) for f in self.commit.factors)
+            + sum(len(descriptor) for _, descriptor in self.commit.places)
             + _FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
         )
 
@@ -91,13 +93,20 @@ def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
     ]
     cloud_rows = [{"session": key, "keyframe": k.index, "cloud": k.cloud} for k in new_keyframes.values()]
     factor_rows = [{"session": key, "factor": f.index, "kind": f.kind, "payload": f.payload} for f in commit.factors]
+    place_rows = [{"session": key, "keyframe": k, "descriptor": descriptor} for k, descriptor in commit.places]
+    hole_rows = [{"session": key, "seq": seq, "follows_seq": follows} for seq, follows in entry.holes]
     if new_keyframes:
         _make_room(connection, key, list(new_keyframes))
+    if place_rows:  # after one that is missing, those that a service has described again
+        t = schema.places
+        connection.execute(delete(t).where(t.c.session == key, t.c.keyframe.in_([k for k, _ in commit.places])))
     for table, rows in (
         (schema.frames, frame_rows),
         (schema.keyframes, keyframe_rows),
         (schema.clouds, cloud_rows),
         (schema.factors, factor_rows),
+        (schema.places, place_rows),
+        (schema.holes, hole_rows),
     ):
         if rows:
             connection.execute(insert(table), rows)

@@ -1,4 +1,4 @@
-"""Tables of the store."""
+"""Tables of the store as this version makes them; map_service/migrations.py says what came when."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
-    Engine,
     Float,
     ForeignKey,
     Index,
@@ -16,24 +15,14 @@ from sqlalchemy import (
     String,
     Table,
     Text,
-    func,
-    insert,
-    inspect,
-    select,
 )
-from sqlalchemy.exc import IntegrityError
-
-from splitslam.errors import InputError
-
-SCHEMA_VERSION = 1
-_MAKING = 0x53504C4954  # key of the advisory lock
 
 metadata = MetaData()
 _row_id = BigInteger().with_variant(Integer, "sqlite")  # only INTEGER is an alias of SQLite's rowid
 
 
-def _session_key() -> Column:
-    return Column("session", _row_id, ForeignKey("sessions.id"), primary_key=True)
+def _session_key(ondelete: str | None = None) -> Column:
+    return Column("session", _row_id, ForeignKey("sessions.id", ondelete=ondelete), primary_key=True)
 
 
 meta = Table("meta", metadata, Column("key", String(64), primary_key=True), Column("value", Text, nullable=False))
@@ -63,6 +52,7 @@ sessions = Table(
     Column("bytes", BigInteger, nullable=False),
     Column("tracker", LargeBinary, nullable=False),
     Column("statistics", Text, nullable=False),
+    Column("finished_s", Float),  # null: not finished, or by a service that did not know it
     Index("sessions_by_site", "site_id"),
     sqlite_autoincrement=True,
 )
@@ -110,19 +100,22 @@ factors = Table(
     Column("payload", LargeBinary, nullable=False),
 )
 
+# Sequence numbers that the robot gave up and said so: the frame after the hole and the one before it.
+holes = Table(
+    "holes",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("seq", BigInteger, primary_key=True),
+    Column("follows_seq", BigInteger, nullable=False),
+)
 
-def make_or_check(engine: Engine) -> None:
-    """Makes the tables in an empty database. Raises InputError for tables of another version."""
-    try:
-        with engine.execution_options(write=True).begin() as connection:
-            if connection.dialect.name == "postgresql":  # SQLite's writers wait for each other as they are
-                connection.execute(select(func.pg_advisory_xact_lock(_MAKING)))
-            if not inspect(connection).has_table("meta"):
-                metadata.create_all(connection)
-                connection.execute(insert(meta).values(key="schema_version", value=str(SCHEMA_VERSION)))
-    except IntegrityError:
-        pass  # another replica made it in the same moment
-    with engine.connect() as connection:
-        found = connection.execute(select(meta.c.value).where(meta.c.key == "schema_version")).scalar()
-    if found != str(SCHEMA_VERSION):
-        raise InputError(f"store: schema version {found}: this service reads version {SCHEMA_VERSION}")
+# What loop closure knows keyframes by (map_service/places.py). Made again from the clouds it would hold up a restart.
+places = Table(
+    "places",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("keyframe", Integer, primary_key=True),
+    Column("descriptor", LargeBinary, nullable=False),
+)
+
+SESSION_TABLES = (frames, clouds, keyframes, factors, holes, places)  # all that refers to a session

@@ -63,6 +63,7 @@ class Session:
         self._last_stamp_ns = 0
         self._new_T_map_odom: dict[int, np.ndarray] = {}
         self._new_rejected: list[tuple[int, int, str]] = []
+        self._new_holes: list[tuple[int, int]] = []
         self._tracker = b""
         self._pipeline = self._build()
 
@@ -120,6 +121,7 @@ class Session:
         else:
             if missing := frame.seq - self.log.applied_seq - 1:
                 self._tally.count("frames", "missing", by=missing)
+                self._new_holes.append((frame.seq, self.log.applied_seq))
             with self.accounts.timed():
                 answer = self._map_or_reject(frame, poisoned)
             self.log.applied_seq = frame.seq
@@ -218,6 +220,6 @@ class Session:
             self._tracker = commit.tracker
         else:
             commit = Commit(previous, last, [], [], [], [], self._tracker)
-        entry = SessionCommit(commit, self._new_T_map_odom, self._new_rejected, statistics, finished)
-        self._new_T_map_odom, self._new_rejected = {}, []
+        entry = SessionCommit(commit, self._new_T_map_odom, self._new_rejected, self._new_holes, statistics, finished)
+        self._new_T_map_odom, self._new_rejected, self._new_holes = {}, [], []
         return entry

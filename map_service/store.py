@@ -6,9 +6,10 @@ The epoch is what makes one owner: opening a stream adds one, and a commit by an
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from sqlalchemy import Connection, Engine, insert, select, update
@@ -17,8 +18,9 @@ from sqlalchemy.exc import IntegrityError
 from map_service import schema
 from map_service.database import StoreError, open_engine, reading, store_errors
 from map_service.rows import SessionCommit, insert_rows, unpack_pose
-from map_service.types import FactorRecord, FrameRecord, KeyframeRecord, Snapshot
+from map_service.types import FactorRecord, KeyframeRecord, Snapshot
 
+_CLOUDS_AT_ONCE = 256
 _RACES = 8  # lost one after the other, when a session is opened by many
 
 
@@ -144,6 +146,8 @@ class Store:
             "bytes": t.c.bytes + entry.bytes,
             "tracker": commit.tracker,
         }
+        if entry.finished:
+            values["finished_s"] = time.time()
         if entry.statistics:
             values["statistics"] = entry.statistics
         if stamps:
@@ -163,45 +167,45 @@ class Store:
         raise FencedError(f"commit of epoch {epoch} after seq {commit.previous_seq}: the store has {found}")
 
     def load(self, key: int) -> Snapshot:
-        """Everything MapPipeline.restore needs."""
-        k, c = schema.keyframes, schema.clouds
+        """Everything MapPipeline.restore needs, but for the clouds: those it fetches as it needs them."""
+        s, k, f, p = schema.sessions, schema.keyframes, schema.factors, schema.places
         with self.reading() as connection:
-            last_seq, tracker = connection.execute(
-                select(schema.sessions.c.last_seq, schema.sessions.c.tracker).where(schema.sessions.c.id == key)
-            ).one()
+            query = select(s.c.last_seq, s.c.tracker, s.c.frames).where(s.c.id == key)
+            last_seq, tracker, mapped = connection.execute(query).one()
             keyframes = connection.execute(
-                select(k.c.keyframe, k.c.seq, k.c.stamp_ns, k.c.pose_map_lidar, c.c.cloud)
-                .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
+                select(k.c.keyframe, k.c.seq, k.c.stamp_ns, k.c.pose_map_lidar)
                 .where(k.c.session == key)
                 .order_by(k.c.keyframe)
             ).all()
             factors = connection.execute(
-                select(schema.factors.c.factor, schema.factors.c.kind, schema.factors.c.payload)
-                .where(schema.factors.c.session == key)
-                .order_by(schema.factors.c.factor)
+                select(f.c.factor, f.c.kind, f.c.payload).where(f.c.session == key).order_by(f.c.factor)
             ).all()
-            frames = connection.execute(
-                select(schema.frames)
-                .where(schema.frames.c.session == key, schema.frames.c.rejected == "")
-                .order_by(schema.frames.c.seq)
+            places = connection.execute(
+                select(p.c.keyframe, p.c.descriptor).where(p.c.session == key).order_by(p.c.keyframe)
             ).all()
         return Snapshot(
             last_seq=last_seq,
-            keyframes=[KeyframeRecord(i, seq, ns, unpack_pose(pose), cloud) for i, seq, ns, pose, cloud in keyframes],
+            keyframes=[KeyframeRecord(i, seq, ns, unpack_pose(pose), None) for i, seq, ns, pose in keyframes],
             factors=[FactorRecord(*row) for row in factors],
             tracker=tracker,
-            frames=[
-                FrameRecord(
-                    row.seq,
-                    row.stamp_ns,
-                    row.keyframe,
-                    unpack_pose(row.pose_keyframe_lidar),
-                    unpack_pose(row.online_map_lidar),
-                    row.state,
-                )
-                for row in frames
-            ],
+            mapped=mapped,
+            # up to the first that is missing: a service of the version before wrote none
+            places=[descriptor for count, (i, descriptor) in enumerate(places) if i == count],
+            fetch_clouds=partial(self.clouds, key),
         )
+
+    def clouds(self, key: int, keyframes: Sequence[int]) -> dict[int, bytes]:
+        """Their clouds. Raises StoreError also when one is not there: the session was deleted."""
+        c = schema.clouds
+        found: dict[int, bytes] = {}
+        with self.reading() as connection:
+            for first in range(0, len(keyframes), _CLOUDS_AT_ONCE):
+                some = keyframes[first : first + _CLOUDS_AT_ONCE]
+                query = select(c.c.keyframe, c.c.cloud).where(c.c.session == key, c.c.keyframe.in_(some))
+                found.update((row.keyframe, row.cloud) for row in connection.execute(query))
+        if missing := set(keyframes) - set(found):
+            raise StoreError(f"no cloud of keyframe {min(missing)}")
+        return found
 
     def answers(self, key: int, *, last: int = 0, seq: int = 0) -> list[StoredAnswer]:
         """The newest `last` answers, or the one of frame `seq`; in seq order."""

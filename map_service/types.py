@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -69,13 +70,13 @@ class FrameRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeRecord:
-    """A keyframe as stored. `cloud` is map_service.cloud's encoding (quantised corners + surfs)."""
+    """A keyframe as stored. `cloud` is map_service.cloud's encoding (quantised corners + surfs); None: not loaded."""
 
     index: int
     seq: int
     stamp_ns: int
     T_map_lidar: NDArray[np.float64]
-    cloud: bytes
+    cloud: bytes | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +99,20 @@ class Commit:
     factors: list[FactorRecord]
     keyframe_poses: list[tuple[int, NDArray[np.float64]]]  # corrected since: (index, T_map_lidar)
     tracker: bytes  # pipeline state needed to go on after last_seq, versioned
+    places: list[tuple[int, bytes]] = field(default_factory=list)  # (keyframe, descriptor as places.py packs it)
 
 
 @dataclass(slots=True, eq=False)
 class Snapshot:
-    """A whole session as loaded from the store, input of MapPipeline.restore."""
+    """A whole session as loaded from the store, input of MapPipeline.restore.
+
+    fetch_clouds: the clouds of keyframes that were loaded without. mapped: frames so far.
+    """
 
     last_seq: int
     keyframes: list[KeyframeRecord]
     factors: list[FactorRecord]
     tracker: bytes
-    frames: list[FrameRecord] = field(default_factory=list)
+    mapped: int = 0
+    places: list[bytes] = field(default_factory=list)  # of keyframes 0, 1, 2, ...
+    fetch_clouds: Callable[[Sequence[int]], dict[int, bytes]] | None = None

@@ -212,4 +212,4 @@ def _committed(pipeline: MapPipeline) -> Snapshot:
     commit = pipeline.take_commit()
     poses = dict(commit.keyframe_poses)
     keyframes = [replace(k, T_map_lidar=poses.get(k.index, k.T_map_lidar)) for k in commit.keyframes]
-    return Snapshot(commit.last_seq, keyframes, commit.factors, commit.tracker, commit.frames)
+    return Snapshot(commit.last_seq, keyframes, commit.factors, commit.tracker, len(commit.frames))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from map_service.closing import LoopCloser
-from map_service.keyframes import Keyframe, Keyframes
+from map_service.keyframes import Cloud, Keyframes
 from map_service.loop_fit import CloudPair
 from map_service.loop_gate import Chain
 from map_service.loop_search import search
@@ -195,7 +195,7 @@ def there_and_back(count: int = 3) -> tuple[Keyframes, list[np.ndarray], Chain]:
     for k in range(count):
         T = se3.compose(np.eye(3), np.array([20.0 * (k % 2), 0, 0]))
         poses.append(T)
-        keyframes.append(Keyframe(k, k + 1, k * 40 * SECOND, T, cloud, cloud, shade, shade))
+        keyframes.append(k + 1, k * 40 * SECOND, T, Cloud(cloud, cloud, shade, shade))
     return keyframes, poses, Chain(poses, keyframes.way_m(), [])
 
 
@@ -207,7 +207,7 @@ def test_results_are_applied_at_a_fixed_number_of_scans_however_fast_they_come()
     ((request, future),) = verifier.jobs
     assert (request.older, request.newer, request.by_looks) == (0, 2, False)
     again = LoopCloser(LoopSettings(apply_after_frames=10), LaterVerifier())
-    again.load(json.loads(json.dumps(closer.dump())), keyframes, poses)  # a restart asks for it again
+    again.load(json.loads(json.dumps(closer.dump())), [], keyframes, poses)  # a restart asks for it again
     assert again.dump() == closer.dump()
     future.set_result(LoopResult(0, 2, np.eye(4), np.eye(6) * 1e-4, False, "", 0.9, 0.05, True))
     assert not closer.has_due(109)
@@ -221,7 +221,7 @@ def test_the_state_of_the_first_release_is_read():
     keyframes, poses, _ = there_and_back()
     verifier = LaterVerifier()
     closer = LoopCloser(LoopSettings(), verifier)
-    closer.load({"last_used": 2, "rejected": {"few_inliers": 3}, "pending": [[110, 0, 2]]}, keyframes, poses)
+    closer.load({"last_used": 2, "rejected": {"few_inliers": 3}, "pending": [[110, 0, 2]]}, [], keyframes, poses)
     assert closer.rejected == {"few_inliers": 3}
     assert [(j.older, j.newer) for j, _ in verifier.jobs] == [(0, 2)]
 

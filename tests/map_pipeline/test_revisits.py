@@ -57,6 +57,7 @@ def test_what_waits_for_support_survives_a_restart():
     state = json.loads(persistence.dump(done.pipeline))["closer"]
     fresh = walk(town(3), along(corners)[:1], BENT, finish=False).pipeline.closer
     assert fresh is not None
-    fresh.load(state, done.pipeline.keyframes, done.pipeline.graph.poses)
-    assert len(fresh.places) == len(closer.places)
+    places = [closer.places.packed(i) for i in range(len(closer.places))]
+    fresh.load(state, places[:-2], done.pipeline.keyframes, done.pipeline.graph.poses)  # two must be described again
+    assert [fresh.places.packed(i) for i in range(len(places))] == places
     assert json.loads(json.dumps(fresh.dump())) == state

@@ -29,5 +29,6 @@ def entry(previous: int, last: int, *, keyframes: tuple[int, ...] = (), **change
         [FactorRecord(k, "loop" if k else "prior", b"factor") for k in keyframes],
         [],
         f"tracker {last}".encode(),
+        [(k, f"place {k}".encode()) for k in keyframes],
     )
     return replace(SessionCommit(commit, {seq: pose(seq + 200) for seq in seqs}), **changes)
