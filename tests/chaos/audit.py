@@ -9,12 +9,12 @@ import psycopg
 
 _MAKE = """
 CREATE TABLE chaos_audit (
-    id bigserial PRIMARY KEY, session_id text, epoch bigint, last_seq bigint, finished boolean, backend int
+    id bigserial PRIMARY KEY, session_id text, epoch bigint, last_seq bigint, finished boolean, transaction xid8
 );
 CREATE FUNCTION chaos_note() RETURNS trigger AS $$
 BEGIN
-    INSERT INTO chaos_audit (session_id, epoch, last_seq, finished, backend)
-    VALUES (NEW.session_id, NEW.epoch, NEW.last_seq, NEW.finished, pg_backend_pid());
+    INSERT INTO chaos_audit (session_id, epoch, last_seq, finished, transaction)
+    VALUES (NEW.session_id, NEW.epoch, NEW.last_seq, NEW.finished, pg_current_xact_id());
     RETURN NULL;
 END $$ LANGUAGE plpgsql;
 CREATE TRIGGER chaos_note AFTER INSERT OR UPDATE ON sessions FOR EACH ROW EXECUTE FUNCTION chaos_note();
@@ -41,7 +41,13 @@ class Audit:
             connection.execute(_MAKE)
 
     def notes(self) -> list[Note]:
-        query = "SELECT session_id, epoch, last_seq, finished FROM chaos_audit ORDER BY id"
+        """One for each transaction that touched a session, as it left it."""
+        query = """
+            SELECT session_id, epoch, last_seq, finished FROM (
+                SELECT *, row_number() OVER (PARTITION BY transaction, session_id ORDER BY id DESC) AS newest
+                FROM chaos_audit
+            ) AS noted WHERE newest = 1 ORDER BY id
+        """
         with psycopg.connect(self._url) as connection:
             return [Note(*row) for row in connection.execute(query)]
 
