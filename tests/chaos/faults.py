@@ -9,11 +9,14 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 from splitslam.chaos.link import Quality
 from splitslam.stack import Replica
 from tests.chaos.field import Field
 from tests.chaos.invariants import family
+from tests.chaos.rude_robot import be_rude
+from tests.chaos.version import other_version
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +74,14 @@ def proxy_killed(field: Field) -> None:
 
 
 def scaled_up_and_down(field: Field) -> None:
-    """One replica less (drained), one more, which takes its share, and that one goes again."""
-    added = field.stack.add_replica()
-    time.sleep(1.0)
-    exit_code = field.stack.remove_replica(added)
-    field.expect(exit_code == 0, f"{added.name} was removed with exit code {exit_code}")
+    """Down to two replicas, up to three, down to two, and up again for what follows."""
+    for _ in range(2):
+        going = _busiest(field)
+        exit_code = field.stack.remove_replica(going)
+        field.expect(exit_code == 0, f"{going.name} was removed with exit code {exit_code}")
+        time.sleep(1.0)
+        field.stack.add_replica()
+        time.sleep(2.0)
 
 
 def robots_cut_off(field: Field, seconds: float = 5.0) -> None:
@@ -106,6 +112,101 @@ def agent_killed(field: Field) -> None:
     """kill -9 of a real edge agent; its supervisor starts it again."""
     if living := [agent for agent in field.agents if not agent.done]:
         living[0].process.kill()
+
+
+def frames_twice_early_and_flipped(field: Field) -> None:
+    """A robot that misbehaves has its own session and harms no other."""
+    be_rude(field.stack.address, field.undisturbed, field.expect)
+
+
+def clocks_jump(field: Field, seconds: float = 3600.0) -> None:
+    """The wall clock of every replica and agent goes an hour ahead, then an hour back."""
+    for shift_s in (seconds, -seconds, 0.0):
+        field.clock.shift(shift_s)
+        time.sleep(2.0)
+
+
+def agents_disk_full(field: Field, seconds: float = 6.0) -> None:
+    """Not a byte left where an agent keeps its spool, while the network is away too."""
+    if (disk := field.agent_disk) is None:
+        field.skip("an agent's disk full: needs the right to mount")
+        return
+    disk.fill()
+    robots_cut_off(field, seconds)
+    time.sleep(1.0)
+    disk.free()
+
+
+def stores_disk_full(field: Field, seconds: float = 6.0) -> None:
+    """Not a byte left where PostgreSQL keeps its data. It may stop; its supervisor starts it when there is room."""
+    if (disk := field.store_disk) is None:
+        field.skip("the store's disk full: needs the right to mount")
+        return
+    disk.fill()
+    time.sleep(seconds)
+    disk.free()
+    assert field.stack.postgres is not None
+    if not field.stack.postgres.ready:
+        field.stack.postgres.kill()
+        field.stack.postgres.start()
+
+
+def upgraded_in_a_row(field: Field) -> None:
+    """Each replica is drained and comes back with another version of the program; both serve side by side meanwhile."""
+    program = other_version(field.folder / "other", field.previous)
+    for replica in list(field.stack.replicas):
+        before, replica.program = replica.program, program
+        _restart_drained(field, replica)
+        field.upgraded.append((replica, before))
+
+
+def downgraded_in_a_row(field: Field) -> None:
+    """And back."""
+    for replica, before in field.upgraded:
+        replica.program = before
+        _restart_drained(field, replica)
+    field.upgraded.clear()
+
+
+def _restart_drained(field: Field, replica: Replica) -> None:
+    field.expect(replica.drain() == 0, f"{replica.name} drained with exit code {replica.exit_code}")
+    replica.start()
+    field.stack.wait_healthy(20.0)
+
+
+REPLICA_KILLED = Fault("replica killed", replica_killed, 0.5)
+REPLICA_DRAINED = Fault("replica drained", replica_drained, 0.3)
+REPLICA_FROZEN = Fault("replica frozen 6 s", replica_frozen, 2.5)
+STORE_KILLED = Fault("store killed 3 s", store_killed, 4.0)
+WORKER_KILLED = Fault("worker killed", worker_killed)
+PROXY_KILLED = Fault("proxy killed", proxy_killed)
+AGENT_KILLED = Fault("agent killed", agent_killed)
+CUT_OFF = Fault("network away 5 s", robots_cut_off)
+RESET = Fault("connections reset", connections_reset)
+RUDE = Fault("frames twice, early, flipped", frames_twice_early_and_flipped)
+SLOW = Fault("links of 500 kbit/s", partial(links_slow, kbps=500.0))
+
+SHORT = (
+    *(AGENT_KILLED, REPLICA_KILLED, RESET, REPLICA_FROZEN, STORE_KILLED),
+    *(RUDE, CUT_OFF, WORKER_KILLED, REPLICA_DRAINED, PROXY_KILLED),
+)
+LONG = (
+    *SHORT,
+    Fault("scaled 2 -> 3 -> 2", scaled_up_and_down),
+    Fault("clocks jump an hour", clocks_jump),
+    Fault("links of 5 Mbit/s", partial(links_slow, kbps=5000.0)),
+    SLOW,
+    Fault("network away 60 s", partial(robots_cut_off, seconds=60.0)),
+    Fault("agent's disk full", agents_disk_full),
+    Fault("store's disk full", stores_disk_full),
+    Fault("upgraded in a row", upgraded_in_a_row),
+    Fault("and back again", downgraded_in_a_row),
+)
+# What may come at any time in the soak, one at a time.
+RANDOM = (
+    *(REPLICA_KILLED, WORKER_KILLED, REPLICA_DRAINED, REPLICA_FROZEN, STORE_KILLED, PROXY_KILLED),
+    *(CUT_OFF, RESET, RUDE, SLOW),
+)
 
 
 def _busiest(field: Field) -> Replica:

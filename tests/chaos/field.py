@@ -14,23 +14,36 @@ from splitslam.chaos.link import Link
 from splitslam.stack import Replica, Stack, StackError
 from splitslam.stack.process import wait_until
 from tests.chaos.audit import Audit, one_owner
+from tests.chaos.clock import WallClock, wall_clock
+from tests.chaos.disk import SmallDisk, small_disk
 from tests.chaos.fleet import Fleet
 from tests.chaos.invariants import Undisturbed, agent_kept, family, nobody_left
 
 RESTART_S, _TRIES = 1.0, 20
+_STAGGER_S = 0.5
 AGENT_START_S = 6.0  # interpreter, kernels, the first Welcome; the drive begins after it
 
 
 @dataclass(slots=True)
 class Field:
-    """agents: real ones, each behind one of `agent_links`. seed: of what is chosen at random."""
+    """agents: real ones, each behind one of `agent_links`. seed: of what is chosen at random. The disks are None where
+    none could be mounted. previous: git ref of the version to upgrade from; None: this one under another number.
+    """
 
+    folder: Path
     stack: Stack
     fleet: Fleet
+    undisturbed: Undisturbed
     agents: list[Agent]
     agent_links: list[Link]
+    clock: WallClock
+    agent_disk: SmallDisk | None = None
+    store_disk: SmallDisk | None = None
     seed: int = 1
+    previous: str | None = None
     wrong: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+    upgraded: list[tuple[Replica, tuple[str, ...]]] = field(default_factory=list)
     _restarts: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "supervisor"))
     _pending: list[Future[None]] = field(default_factory=list)
 
@@ -41,6 +54,10 @@ class Field:
     def expect(self, true: bool, text: str) -> None:
         if not true:
             self.wrong.append(text)
+
+    def skip(self, why: str) -> None:
+        """Something cannot be done here."""
+        self.skipped.append(why)
 
     def later(self, start: Callable[[], None]) -> None:
         """What a supervisor does: start it again, after a moment."""
@@ -81,29 +98,44 @@ class Material:
     undisturbed: Undisturbed
 
 
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How much there is of everything. frames: of a light robot's session; None: the whole drive. small_disks: store
+    and first agent on disks that can be filled.
+    """
+
+    light: int
+    real: int
+    replicas: int = 3
+    frames: int | None = None
+    small_disks: bool = False
+
+
 @contextmanager
-def open_field(
-    folder: Path, material: Callable[[], Material], *, light: int, real: int, replicas: int = 3, stagger_s: float = 0.5
-) -> Iterator[Field]:
+def open_field(folder: Path, material: Callable[[], Material], size: Size) -> Iterator[Field]:
     """The stack, started while the drive is made; then the robots. At the end every session is finished and judged.
 
     material: called once, in a thread of its own. What was wrong is in `field.wrong` when the block is left.
     """
     with ExitStack() as cleanup:
         making = cleanup.enter_context(ThreadPoolExecutor(1)).submit(material)
-        stack = cleanup.enter_context(Stack(folder / "stack", replicas))
+        clock = cleanup.enter_context(wall_clock(folder / "clock"))
+        agent_disk = store_disk = None
+        if size.small_disks:
+            agent_disk = cleanup.enter_context(small_disk(folder / "robot-1" / "state", 8))
+            store_disk = cleanup.enter_context(small_disk(folder / "stack" / "postgres", 512))
+        stack = cleanup.enter_context(Stack(folder / "stack", size.replicas))
         audit = Audit(stack.store_url)
         made = making.result()
-        fleet = Fleet(light, stack.address, made.undisturbed, stagger_s=stagger_s)
-        links = [cleanup.enter_context(Link(stack.address, seed=k)) for k in range(real)]
-        began_s = time.monotonic() + AGENT_START_S
+        fleet = Fleet(size.light, stack.address, made.undisturbed, frames=size.frames, stagger_s=_STAGGER_S)
+        links = [cleanup.enter_context(Link(stack.address, seed=k)) for k in range(size.real)]
         agents = [
-            Agent(f"robot-{k}", made.drive, link.address, folder / f"robot-{k}", began_s=began_s)
-            for k, link in enumerate(links, start=1)
+            Agent(f"robot-{k}", made.drive, link.address, folder / f"robot-{k}") for k, link in enumerate(links, 1)
         ]
-        field = Field(stack, fleet, agents, links)
+        field = Field(folder, stack, fleet, made.undisturbed, agents, links, clock, agent_disk, store_disk)
         fleet.start()
         for agent in agents:
+            agent.began_s = time.monotonic() + AGENT_START_S
             agent.start()
             cleanup.callback(agent.stop)
         yield field

@@ -54,6 +54,10 @@ class Witness:
     durable_seq: int = 0
     _answers: dict[int, pb.Odometry] = field(default_factory=dict)
     _stream_answered: int = 0
+    _welcomed: bool = False
+
+    def stream_begins(self) -> None:
+        self._welcomed = False
 
     def see(self, response: pb.StreamResponse) -> None:
         """Every message of the newest stream, in order."""
@@ -62,7 +66,7 @@ class Witness:
             self._welcome(response.welcome)
         elif kind == "odometry":
             self._odometry(response.odometry)
-        elif kind == "credit":
+        elif kind == "credit" and self._welcomed:  # before the Welcome it is a sign of life alone
             self._durable(response.credit.durable_seq, "a Credit")
 
     def expect(self, true: bool, text: str) -> None:
@@ -72,6 +76,7 @@ class Witness:
     def _welcome(self, welcome: pb.Welcome) -> None:
         self.expect(not self.epochs or welcome.epoch > self.epochs[-1], f"epoch {welcome.epoch} after {self.epochs}")
         self.epochs.append(welcome.epoch)
+        self._welcomed = True
         self.expect(
             welcome.durable_seq <= welcome.applied_seq,
             f"a Welcome calls {welcome.durable_seq} durable and {welcome.applied_seq} applied",
@@ -111,9 +116,13 @@ class _WitnessedUplink(Uplink):
     def __init__(self, server: str, hello: pb.Hello, witness: Witness) -> None:
         super().__init__(server, hello, UplinkConfig(), EdgeMetrics(keep=False))
         self.witness = witness
+        self._heard: Stream | None = None
 
     def _on_response(self, stream: Stream, response: pb.StreamResponse) -> None:
         if self._stream is stream:
+            if self._heard is not stream:
+                self._heard = stream
+                self.witness.stream_begins()
             self.witness.see(response)
         super()._on_response(stream, response)
 
