@@ -223,6 +223,7 @@ class _Run:
             **going_on,
             "stopped": stopped,
             "scans": {"read": read, "sent": tally.sent, "mapped": tally.mapped, "dropped": read - tally.mapped},
+            "passed_scans": self._reader.passed_scans,  # before the agent listened
             "recording_s": recording_s,
             **tally.times(),
             **stage_summaries(self._metrics),

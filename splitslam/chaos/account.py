@@ -77,10 +77,14 @@ def _near(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray
 
 
 def _dead_ns(agent: Agent, mapped_ns: NDArray[np.int64], origin_ns: int) -> list[tuple[int, int]]:
-    """When no agent ran, in the recording's time: from each death to the next life's first scan in the store."""
-    if agent.began_s is None:
+    """When no agent ran, in the recording's time: until the first scan in the store, and from each death to the next
+    life's first one.
+    """
+    if agent.began_s is None or not len(mapped_ns):
         return []
-    spans = []
+    first = agent.lives[0].report
+    late = first is None or first["passed_scans"] > 0
+    spans = [(origin_ns, int(mapped_ns[0]))] if late else []
     for life, following in zip(agent.lives, agent.lives[1:], strict=False):
         assert life.ended_s is not None
         died_ns = origin_ns + int((life.ended_s - agent.began_s) * 1e9)

@@ -19,9 +19,9 @@ from tests.chaos.material import make
 from tests.chaos.sequence import Outcome, play
 from tests.chaos.soak import soak
 
-_EVERY_FAULT = Size(light=3, real=2, small_disks=True)
+_EVERY_FAULT = Size(light=3, real=2, frames=300, small_disks=True)
 _SOAK = Size(light=12, real=0)
-_DRIVE_S, _SOAK_DRIVE_S = 300.0, 45.0
+_DRIVE_S, _SOAK_DRIVE_S = 120.0, 45.0
 
 
 def main() -> None:

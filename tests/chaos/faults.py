@@ -190,14 +190,16 @@ SHORT = (
     *(AGENT_KILLED, REPLICA_KILLED, RESET, REPLICA_FROZEN, STORE_KILLED),
     *(RUDE, CUT_OFF, WORKER_KILLED, REPLICA_DRAINED, PROXY_KILLED),
 )
+# What concerns real agents comes first, while their drive lasts.
 LONG = (
-    *SHORT,
-    Fault("scaled 2 -> 3 -> 2", scaled_up_and_down),
-    Fault("clocks jump an hour", clocks_jump),
-    Fault("links of 5 Mbit/s", partial(links_slow, kbps=5000.0)),
-    SLOW,
-    Fault("network away 60 s", partial(robots_cut_off, seconds=60.0)),
+    AGENT_KILLED,
     Fault("agent's disk full", agents_disk_full),
+    Fault("network away 60 s", partial(robots_cut_off, seconds=60.0)),
+    Fault("clocks jump an hour", clocks_jump),
+    SLOW,
+    *(fault for fault in SHORT if fault is not AGENT_KILLED),
+    Fault("links of 5 Mbit/s", partial(links_slow, kbps=5000.0)),
+    Fault("scaled 2 -> 3 -> 2", scaled_up_and_down),
     Fault("store's disk full", stores_disk_full),
     Fault("upgraded in a row", upgraded_in_a_row),
     Fault("and back again", downgraded_in_a_row),

@@ -21,7 +21,7 @@ from tests.chaos.invariants import Undisturbed, agent_kept, family, nobody_left
 
 RESTART_S, _TRIES = 1.0, 20
 _STAGGER_S = 0.5
-AGENT_START_S = 6.0  # interpreter, kernels, the first Welcome; the drive begins after it
+AGENT_START_S = 10.0  # interpreter, kernels, the first Welcome; the drive begins after it
 
 
 @dataclass(slots=True)
