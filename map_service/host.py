@@ -323,13 +323,13 @@ class SessionHost:
             return
         try:
             session.commit()
-            self._handed(session)
+            self._handed(session, FLUSH_S)
         except FencedError as error:
             self._fenced(session, error)
         except StoreError as error:
             self._store_failed(session, error)
 
-    def _handed(self, session: Session, within_s: float = FLUSH_S) -> None:
+    def _handed(self, session: Session, within_s: float) -> None:
         """Waits for the commits; what the robot still sends on this stream is for the next replica. Raises as flush."""
         session.log.flush(within_s)
         if session.stream is not None:

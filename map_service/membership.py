@@ -15,10 +15,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import BigInteger, Column, Float, Integer, MetaData, String, Table, delete, insert, select, update
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import IntegrityError, ProgrammingError
 
 from map_service.config import ReplicaConfig
-from map_service.store import Store, StoreError
+from map_service.database import StoreError
+from map_service.store import Store
 
 _FORGET_BEATS = 60  # a row that has not moved for so long is deleted; its replica, should it live, adds it again
 
@@ -169,6 +170,6 @@ def _make_table(store: Store) -> None:
     try:
         with store.writing() as connection:
             replicas.create(connection, checkfirst=True)
-    except (IntegrityError, StoreError):
+    except (IntegrityError, ProgrammingError, StoreError):
         with store.reading() as connection:  # another replica made it in the same moment, or the store fails
             connection.execute(select(replicas.c.id)).all()

@@ -97,6 +97,11 @@ TUNNEL_DRIFT_SHARE = 0.005
 # Of an online pose after a kidnapping of 5 m, once found: drift of ten seconds and the start's tilt.
 KIDNAP_FOUND_M = 0.2
 
+# Replicas behind the proxy: longest time between two answers at 10 Hz, s, on a quiet machine.
+KILLED_REPLICA_GAP_S = 0.5
+DRAINED_REPLICA_GAP_S = 0.3
+FROZEN_REPLICA_GAP_S = 2.5
+KILLED_STORE_GAP_S = 4.0
 # A frame that was applied but not durable when its owner died is mapped again by the next one, from the stored state.
 CHAOS_REMAPPED_M = 0.02
 # What anything that is done to the system may cost a trajectory, whichever is larger.

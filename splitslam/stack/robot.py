@@ -11,6 +11,7 @@ from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
+from splitslam.stack.process import wait_until
 from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
 
@@ -75,6 +76,12 @@ class LightRobot:
     def _listen(self) -> None:
         now_s = time.monotonic()
         self.heard += [Heard(now_s, answer) for answer in self._uplink.take_answers()]
+
+    def wait_answers(self, count: int, timeout_s: float = 30.0) -> None:
+        """Until `count` frames are answered. Raises StackError, or what ended the robot."""
+        wait_until(lambda: self.answered >= count or self.failure is not None, timeout_s, f"{count} answers")
+        if self.failure is not None:
+            raise self.failure
 
     def finish(self) -> pb.Finished:
         """Sends no more, waits for the last answer and says Bye. Raises what the uplink raised."""

@@ -13,6 +13,7 @@ from functools import partial
 
 from splitslam.chaos.link import Quality
 from splitslam.stack import Replica
+from tests import tolerances as bars
 from tests.chaos.field import Field
 from tests.chaos.invariants import family
 from tests.chaos.rude_robot import be_rude
@@ -174,10 +175,10 @@ def _restart_drained(field: Field, replica: Replica) -> None:
     field.stack.wait_healthy(20.0)
 
 
-REPLICA_KILLED = Fault("replica killed", replica_killed, 0.5)
-REPLICA_DRAINED = Fault("replica drained", replica_drained, 0.3)
-REPLICA_FROZEN = Fault("replica frozen 6 s", replica_frozen, 2.5)
-STORE_KILLED = Fault("store killed 3 s", store_killed, 4.0)
+REPLICA_KILLED = Fault("replica killed", replica_killed, bars.KILLED_REPLICA_GAP_S)
+REPLICA_DRAINED = Fault("replica drained", replica_drained, bars.DRAINED_REPLICA_GAP_S)
+REPLICA_FROZEN = Fault("replica frozen 6 s", replica_frozen, bars.FROZEN_REPLICA_GAP_S)
+STORE_KILLED = Fault("store killed 3 s", store_killed, bars.KILLED_STORE_GAP_S)
 WORKER_KILLED = Fault("worker killed", worker_killed)
 PROXY_KILLED = Fault("proxy killed", proxy_killed)
 AGENT_KILLED = Fault("agent killed", agent_killed)

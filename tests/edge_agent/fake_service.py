@@ -44,9 +44,13 @@ class FakeService(rpc.EdgeServiceServicer):
     credit_s: float = 0.2
     answer_delay_s: float = 0.0
     advice: pb.Advice | None = None  # after the Welcome
+    welcome_after_s: float = 0.0  # with credits meanwhile
+    name: str = ""  # what a proxy calls this replica
+    drain_to: str = ""
     pose_x_m: Callable[[int], float] = float
     hellos: list[pb.Hello] = field(default_factory=list)
     route_keys: list[str] = field(default_factory=list)
+    wishes: list[str] = field(default_factory=list)  # which replica each stream wanted
     received: list[int] = field(default_factory=list)
     applied: dict[int, pb.Odometry] = field(default_factory=dict)
     holes: list[int] = field(default_factory=list)
@@ -90,6 +94,9 @@ class FakeService(rpc.EdgeServiceServicer):
     def Stream(self, request_iterator: Iterator[pb.StreamRequest], context: grpc.ServicerContext):
         metadata = dict(context.invocation_metadata())
         self.route_keys.append(str(metadata.get("splitslam-route-key")))
+        self.wishes.append(str(metadata.get("splitslam-replica", "")))
+        if self.name:
+            context.send_initial_metadata((("splitslam-replica", self.name),))
         hello = next(request_iterator).hello
         self.hellos.append(hello)
         if self.hello_replies:
@@ -102,6 +109,10 @@ class FakeService(rpc.EdgeServiceServicer):
         if self.finished:
             yield pb.StreamResponse(refused=pb.Refused(reason=pb.REFUSED_REASON_FINISHED))
             return
+        until_s = time.monotonic() + self.welcome_after_s
+        while time.monotonic() < until_s:
+            yield self._credit()
+            time.sleep(self.credit_s)
         self.epoch += 1
         out: queue.Queue[pb.StreamResponse | None] = queue.Queue()
         out.put(pb.StreamResponse(welcome=self._welcome()))
@@ -207,7 +218,7 @@ class _Connection:
             self.context.cancel()
             return
         if fault is Fault.DRAIN:
-            drain = pb.Drain(reason=pb.DRAIN_REASON_REBALANCE, retry_after_ms=50)
+            drain = pb.Drain(reason=pb.DRAIN_REASON_REBALANCE, retry_after_ms=50, replica=service.drain_to)
             self.out.put(pb.StreamResponse(drain=drain))
             self.stuck = True
             return

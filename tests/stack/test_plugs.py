@@ -1,0 +1,125 @@
+"""Whatever happens to a replica: every frame is mapped exactly once, and robots wait no longer than they must."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+from splitslam.stack import Stack
+from splitslam.stack.process import wait_until
+from splitslam.stack.robot import LightRobot
+from tests import tolerances as bars
+from tests.map_service.fakes import FINAL_SHIFT_M
+from tests.map_service.harness import Operator, descendants
+from tests.stack.watch import events, fenced, fullest, loads, owner, rebalanced, streams
+
+Drive = Callable[[int], list[LightRobot]]
+QUIET_GAP_S = 0.15  # between two answers at 10 Hz, of a machine with nothing else to do
+
+
+def check_gaps(robots: list[LightRobot], since_s: float, bar_s: float) -> None:
+    """bar_s: of a quiet machine; on a busy one, where undisturbed answers are late too, in proportion."""
+    undisturbed_s = max(robot.gap_s(until_s=since_s) for robot in robots)
+    allowed_s = bar_s * max(1.0, undisturbed_s / QUIET_GAP_S)
+    assert [gap for robot in robots if (gap := robot.gap_s(since_s)) > allowed_s] == []
+
+
+def check_each_frame_once(stack: Stack, robots: list[LightRobot]) -> None:
+    operator = Operator(stack.address)
+    for robot in robots:
+        finished = robot.finish()
+        assert finished.mapped == robot.sent == robot.answered
+        assert [heard.answer.reply.T_map_lidar[0, 3] for heard in robot.heard] == list(range(1, robot.sent + 1))
+        stored = operator.poses(robot.session_id)
+        assert stored == [(seq, seq + FINAL_SHIFT_M) for seq in range(1, robot.sent + 1)]
+    operator.close()
+
+
+def go_on(robots: list[LightRobot], frames: int = 15) -> None:
+    for robot in robots:
+        robot.wait_answers(robot.answered + frames)
+
+
+def test_after_sigkill_of_a_replica_others_go_on_within_half_a_second(whole: Stack, drive: Drive) -> None:
+    robots = drive(3)
+    wait_until(lambda: loads(whole) == [1, 1, 1], 15.0, "one robot each")
+    attempts = [robot.attempt for robot in robots]
+    since_s = time.monotonic()
+    fullest(whole).kill()
+    go_on(robots)
+    check_gaps(robots, since_s, bars.KILLED_REPLICA_GAP_S)
+    assert [robot.attempt for robot in robots] == attempts, "the proxy itself goes past the dead one"
+    assert sum(streams(replica) for replica in whole.replicas) == 3
+    check_each_frame_once(whole, robots)
+
+
+def test_a_replica_that_is_drained_says_where_there_is_room_and_leaves_nothing_to_repeat(
+    whole: Stack, drive: Drive
+) -> None:
+    robots = drive(3)
+    leaving = fullest(whole)
+    theirs = [robot for robot in robots if owner(whole, robot) == leaving.name]
+    since_s = time.monotonic()
+    assert leaving.drain() == 0
+    assert time.monotonic() - since_s < 10
+    go_on(robots)
+    check_gaps(robots, since_s, bars.DRAINED_REPLICA_GAP_S)
+    left = [streams(replica) for replica in whole.replicas if replica is not leaving]
+    assert max(left) - min(left) <= 1
+    assert events(leaving, "not committed at drain") == events(leaving, "fenced") == []
+    assert {robot.attempt for robot in theirs} == {1}, "each found its place at the first try"
+    check_each_frame_once(whole, robots)
+
+
+def test_a_frozen_replica_is_left_and_cannot_write_when_it_wakes(whole: Stack, drive: Drive) -> None:
+    """Front and workers stop for 3 s, with frames answered and not committed: keyframes are seq 1, 6, 11, ..."""
+    robots = drive(3)
+    frozen = fullest(whole)
+    before = fenced(frozen)
+    theirs = next(robot for robot in robots if owner(whole, robot) == frozen.name)
+    wait_until(lambda: theirs.answered % 5 == 3, 10.0, "a frame between two commits")
+    workers = frozen.workers()
+    processes = [frozen.pid, *descendants(frozen.pid)]
+    since_s = time.monotonic()
+    for pid in processes:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(3.0)
+    for pid in processes:
+        os.kill(pid, signal.SIGCONT)
+    go_on(robots)
+    check_gaps(robots, since_s, bars.FROZEN_REPLICA_GAP_S)
+    wait_until(lambda: fenced(frozen) > before, 5.0, "the zombie's commit refused")
+    assert frozen.alive
+    assert frozen.workers() == workers, "a worker was killed for the time in which its front was frozen"
+    check_each_frame_once(whole, robots)
+
+
+def test_a_new_replica_takes_its_share_and_sessions_then_stay_where_they_are(whole: Stack, drive: Drive) -> None:
+    """Three replicas, two, three."""
+    robots = drive(4)
+    whole.remove_replica(whole.replicas[0])
+    wait_until(lambda: loads(whole) == [2, 2], 15.0, "two and two robots")
+    since_s = time.monotonic()
+    new = whole.add_replica()
+    wait_until(lambda: loads(whole) == [1, 1, 2], 15.0, "robots on all three")
+    assert streams(new) >= 1
+    moves = rebalanced(whole)
+    time.sleep(2.5)  # twelve looks
+    assert rebalanced(whole) == moves
+    assert loads(whole) == [1, 1, 2]
+    check_gaps(robots, since_s, bars.DRAINED_REPLICA_GAP_S)
+    check_each_frame_once(whole, robots)
+
+
+def test_robots_find_their_replica_again_after_sigkill_of_the_proxy(whole: Stack, drive: Drive) -> None:
+    """The sessions are still in the memory of their replicas: nothing is built again."""
+    robots = drive(3)
+    wait_until(lambda: loads(whole) == [1, 1, 1], 15.0, "one robot each")
+    before = [owner(whole, robot) for robot in robots]
+    whole.envoy.kill()
+    whole.envoy.start()
+    go_on(robots)
+    assert [owner(whole, robot) for robot in robots] == before
+    check_each_frame_once(whole, robots)
