@@ -103,6 +103,7 @@ class _Run:
         self._sequencer = Sequencer(robot)
         self._check = LiveCheck(robot, metrics)
         metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
+        metrics.clock_step_sources.append(self._sequencer.times.steps)
         self._sink = AgentSink(
             tally=self._tally,
             outputs=outputs,
@@ -233,6 +234,7 @@ class _Run:
             "imu_resets": self._imu.resets,
             "deskew": {"back_end": self._pipeline.image_node.name, "troubles": dict(self._pipeline.image_node.counts)},
             "dropped_by_reason": self._metrics.all_dropped(),
+            "clock_steps": dict(self._sequencer.times.steps),
             "check": [finding.as_dict() for finding in self._check.finish()],
             **tally.by_scan(),
         }

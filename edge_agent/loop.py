@@ -26,6 +26,7 @@ from splitslam.wire import session_pb2 as pb
 
 UNANCHORED = 4
 Item = ImuSamples | WheelSamples | ScanPacket
+_SILENT_NS = 1_500_000_000  # without an answered scan, as when the LiDAR is unplugged, the pose is the edge's own
 _LAG = 2  # scan k sees the odometry of scans <= k - 2
 
 
@@ -55,7 +56,7 @@ class Imu(Protocol):
 class Sequencer(Protocol):
     """edge_agent.sources.sequencer.Sequencer."""
 
-    def push(self, event: Event) -> Sequence[Item]: ...
+    def push(self, event: Event, arrival_ns: int | None = None) -> Sequence[Item]: ...
     def finish(self) -> Sequence[Item]: ...
 
 
@@ -109,6 +110,8 @@ class AgentLoop:
     def __init__(self, parts: Parts, lockstep: bool, first_seq: int = 1) -> None:
         self._parts, self._lockstep, self._first_seq = parts, lockstep, first_seq
         self._held_back: list[Answer] = []
+        self._answered_ns: int | None = None
+        self._now_ns = 0  # of the newest scan or IMU-rate pose
         self.stopped = False
 
     def run(self, batches: Iterable[list[TimedEvent]]) -> None:
@@ -118,10 +121,10 @@ class AgentLoop:
             if not self._lockstep:
                 self._apply_answers(None)
             items: list[Item] = []
-            for _, event in batch:
+            for arrival_ns, event in batch:
                 if parts.check is not None:
                     parts.check.on_event(event)
-                items += parts.sequencer.push(event)
+                items += parts.sequencer.push(event, arrival_ns)
             self._take(items)
             if self.stopped:
                 return
@@ -158,10 +161,12 @@ class AgentLoop:
         imu = self._parts.imu
         poses = imu.add_imu(samples[0] if len(samples) == 1 else _joined(samples))
         if len(poses.stamps_ns):
+            self._now_ns = max(self._now_ns, int(poses.stamps_ns[-1]))
             self._parts.sink.on_poses(poses, imu, self._state())
 
     def _take_packet(self, packet: ScanPacket) -> None:
         parts = self._parts
+        self._now_ns = max(self._now_ns, packet.scan.stamp_ns)
         if self._lockstep:
             seen_seq = parts.pipeline.seq + 1 - _LAG
             if not parts.uplink.wait_answered(seen_seq):
@@ -198,13 +203,16 @@ class AgentLoop:
             own = answer.reply.seq >= self._first_seq
             if own:  # the node has not seen the scans of an agent before
                 parts.imu.on_odometry(answer.reply)
+                self._answered_ns = answer.reply.stamp_ns
             parts.sink.on_answer(answer)
             if own and parts.check is not None:
                 parts.check.on_answer(answer)
         parts.metrics.state.set(self._state())
 
     def _state(self) -> int:
-        return self._parts.imu.state if self._lockstep or self._parts.uplink.anchored else UNANCHORED
+        silent = self._answered_ns is not None and self._now_ns - self._answered_ns > _SILENT_NS
+        connected = self._lockstep or self._parts.uplink.anchored
+        return self._parts.imu.state if connected and not silent else UNANCHORED
 
 
 def _joined(samples: list[ImuSamples]) -> ImuSamples:

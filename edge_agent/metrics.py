@@ -52,30 +52,23 @@ class Series:
         return summary(np.asarray(self.values_s) * 1e3)
 
 
-class _Drops(Collector):
-    """splitslam_edge_dropped_total{reason}, computed when it is asked for."""
+class _Counts(Collector):
+    """splitslam_edge_NAME_total{LABEL}: sums of what others count for themselves, made when they are asked for."""
 
-    def __init__(self, metrics: EdgeMetrics) -> None:
-        self._metrics = metrics
+    def __init__(self, name: str, text: str, label: str) -> None:
+        self._name, self._text, self._label = name, text, label
+        self.sources: list[Tally[str]] = []
 
-    def collect(self) -> Iterator[CounterMetricFamily]:
-        family = CounterMetricFamily("splitslam_edge_dropped", "What was dropped, by reason", labels=["reason"])
-        for reason, count in sorted(self._metrics.all_dropped().items()):
-            family.add_metric([reason], count)
-        yield family
-
-
-class _SpoolErrors(Collector):
-    """splitslam_edge_spool_errors_total{kind}, as the spools of this run and of those before count them."""
-
-    def __init__(self, sources: list[Tally[str]]) -> None:
-        self._sources = sources
+    def sum(self) -> dict[str, int]:
+        total: Tally[str] = Tally()
+        for source in self.sources:
+            total += Tally(source)  # a copy first: another thread goes on counting
+        return dict(total)
 
     def collect(self) -> Iterator[CounterMetricFamily]:
-        text = "What the disk did not do, what was damaged on it, and frames that the service refused, by kind"
-        family = CounterMetricFamily("splitslam_edge_spool_errors", text, labels=["kind"])
-        for kind, count in sorted(sum((Tally(source) for source in self._sources), Tally[str]()).items()):
-            family.add_metric([kind], count)
+        family = CounterMetricFamily(f"splitslam_edge_{self._name}", self._text, labels=[self._label])
+        for key, count in sorted(self.sum().items()):
+            family.add_metric([key], count)
         yield family
 
 
@@ -109,10 +102,13 @@ class EdgeMetrics:
         self.round_trip = Series(self._histogram("round_trip_seconds", "Frame handed over to answer received"), keep)
         self._uplink = self._counter("uplink_bytes", "Serialized messages sent, by kind", ["kind"])
         self.dropped: Tally[str] = Tally()
-        self.drop_sources: list[Tally[str]] = [self.dropped]
-        self.registry.register(_Drops(self))
-        self.spool_error_sources: list[Tally[str]] = []
-        self.registry.register(_SpoolErrors(self.spool_error_sources))
+        self._drops = self._counts("dropped", "What was dropped, by reason", "reason")
+        self.drop_sources = self._drops.sources
+        self.drop_sources.append(self.dropped)
+        text = "What the disk did not do, what was damaged on it, and frames that the service refused, by kind"
+        self.spool_error_sources = self._counts("spool_errors", text, "kind").sources
+        text = "Steps of a sensor's clock that did not reach the run, by stream"
+        self.clock_step_sources = self._counts("clock_steps", text, "stream").sources
         self.scans = self._counter("scans", "Scans by what became of them", ["result"])
         self.connects = self._counter("connects", "Streams that were answered with a Welcome")
         self.reconnects = self._counter("reconnects", "Streams that broke", ["cause"])
@@ -134,6 +130,11 @@ class EdgeMetrics:
             gauge.set(float("nan"))
         self._server: WSGIServer | None = None
 
+    def _counts(self, name: str, text: str, label: str) -> _Counts:
+        counts = _Counts(name, text, label)
+        self.registry.register(counts)
+        return counts
+
     def _histogram(self, name: str, text: str, labels: Sequence[str] = ()) -> Histogram:
         return Histogram(f"splitslam_edge_{name}", text, labels, buckets=_BUCKETS_S, registry=self.registry)
 
@@ -150,10 +151,7 @@ class EdgeMetrics:
 
     def all_dropped(self) -> dict[str, int]:
         """Everything lost so far by reason, also by those who count for themselves (`drop_sources`)."""
-        total: Tally[str] = Tally()
-        for source in self.drop_sources:
-            total += Tally(source)  # a copy first: the reader's thread goes on counting
-        return dict(total)
+        return self._drops.sum()
 
     def sent(self, kind: str, size: int) -> None:
         """Counts one message on the uplink."""

@@ -4,74 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, deque
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.sources.stream_clock import JUMP_NS, StreamClock
+from edge_agent.sources.time_map import TimeMap
 from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
-_JUMP_NS = 1_000_000_000  # a longer step ahead is believed only when the next message confirms it
 _MAX_WAITING = 20
 _log = logging.getLogger(__name__)
 Item = ImuSamples | WheelSamples | ScanPacket
-T = TypeVar("T", Scan, ImuSamples, WheelSamples, GnssFix)
-
-
-class _Clock(Generic[T]):
-    """Keeps one stream's stamps strictly increasing.
-
-    A message that steps far ahead is held until the next one: if that follows it, there was a gap and both pass; if
-    that goes back to where the stream was, the held one's stamp was wrong and it is dropped as `time_jump`.
-    """
-
-    def __init__(self, prefix: str, dropped: Counter[str]) -> None:
-        self._prefix = prefix
-        self._dropped = dropped
-        self._last_ns: int | None = None
-        self._held: tuple[int, int, T] | None = None
-
-    def admit(self, first_ns: int, last_ns: int, item: T) -> list[T]:
-        """Messages that may pass now, in order."""
-        passed: list[T] = []
-        if self._held is not None:
-            held_first_ns, held_last_ns, held = self._held
-            if first_ns == held_first_ns:
-                self._drop("duplicate", item)
-                return passed
-            self._held = None
-            if first_ns > held_first_ns:
-                self._last_ns = held_last_ns
-                passed.append(held)
-            else:
-                self._drop("time_jump", held)
-        if self._last_ns is not None:
-            if first_ns <= self._last_ns:
-                self._drop("duplicate" if first_ns == self._last_ns else "time_backwards", item)
-                return passed
-            if first_ns - self._last_ns > _JUMP_NS:
-                self._held = (first_ns, last_ns, item)
-                return passed
-        self._last_ns = last_ns
-        passed.append(item)
-        return passed
-
-    def flush(self) -> list[T]:
-        """At the end of input nothing can contradict a held message."""
-        held, self._held = self._held, None
-        return [] if held is None else [held[2]]
-
-    def pass_by(self, stamp_ns: int) -> None:
-        """The stream has been waited for in vain: what it still has for the time up to here is of no use any more."""
-        self._last_ns = stamp_ns if self._last_ns is None else max(self._last_ns, stamp_ns)
-
-    def _drop(self, reason: str, item: T) -> None:
-        self._dropped[self._prefix + reason] += len(item) if isinstance(item, ImuSamples | WheelSamples) else 1
-
-    def follows(self, first_ns: int) -> bool:
-        """True when a message with this stamp passes at once."""
-        return self._held is None and (self._last_ns is None or 0 < first_ns - self._last_ns <= _JUMP_NS)
 
 
 class Sequencer:
@@ -84,6 +28,7 @@ class Sequencer:
     `wheel_` or `gnss_` for those streams.
     uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended. A scan
     waits for it until 20 do; then none does, until it is back. Samples for the time of a scan that is gone are dropped.
+    times: steps of the sensors' clocks, which do not reach the run.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -94,21 +39,22 @@ class Sequencer:
         self._silent = False  # the IMU: nobody waits for it until it is back
         self._waiting: deque[Scan] = deque()
         self._fixes: list[GnssFix] = []
-        self._scan_clock = _Clock[Scan]("", self.dropped)
-        self._imu_clock = _Clock[ImuSamples]("imu_", self.dropped)
-        self._wheel_clock = _Clock[WheelSamples]("wheel_", self.dropped)
-        self._gnss_clock = _Clock[GnssFix]("gnss_", self.dropped)
+        self.times = TimeMap()
+        self._scan_clock = StreamClock[Scan]("lidar", "", self.dropped, self.times)
+        self._imu_clock = StreamClock[ImuSamples]("imu", "imu_", self.dropped, self.times)
+        self._wheel_clock = StreamClock[WheelSamples]("wheels", "wheel_", self.dropped, self.times)
+        self._gnss_clock = StreamClock[GnssFix]("gnss", "gnss_", self.dropped, self.times)
 
-    def push(self, event: Scan | ImuSamples | WheelSamples | GnssFix) -> list[Item]:
-        """Takes one message; returns what may go to the pipeline now."""
+    def push(self, event: Scan | ImuSamples | WheelSamples | GnssFix, arrival_ns: int | None = None) -> list[Item]:
+        """Takes one message; returns what may go to the pipeline now. arrival_ns: when it came, on a steady clock."""
         if isinstance(event, ImuSamples):
-            return self._push_imu(event)
+            return self._push_imu(event, arrival_ns)
         if isinstance(event, WheelSamples):
-            return [*self._wheel_clock.admit(int(event.stamps_ns[0]), int(event.stamps_ns[-1]), event)]
+            return [*self._wheel_clock.admit(int(event.stamps_ns[0]), int(event.stamps_ns[-1]), event, arrival_ns)]
         if isinstance(event, GnssFix):
-            self._fixes.extend(self._gnss_clock.admit(event.stamp_ns, event.stamp_ns, event))
+            self._fixes.extend(self._gnss_clock.admit(event.stamp_ns, event.stamp_ns, event, arrival_ns))
             return []
-        return self._push_scan(event)
+        return self._push_scan(event, arrival_ns)
 
     def finish(self) -> list[Item]:
         """End of input: everything that still waits."""
@@ -120,14 +66,14 @@ class Sequencer:
             out.append(self._release())
         return out
 
-    def _push_scan(self, scan: Scan) -> list[Item]:
+    def _push_scan(self, scan: Scan, arrival_ns: int | None) -> list[Item]:
         if len(scan) == 0:
             self.dropped["empty"] += 1
             return []
         if not np.isfinite(scan.points_lidar).all():
             self.dropped["nan"] += 1
             return []
-        self._waiting.extend(self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan))
+        self._waiting.extend(self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan, arrival_ns))
         out: list[Item] = []
         if len(self._waiting) > _MAX_WAITING and not self._silent:
             self._silent = True
@@ -136,21 +82,21 @@ class Sequencer:
             out.append(self._release())
         return out
 
-    def _push_imu(self, samples: ImuSamples) -> list[Item]:
+    def _push_imu(self, samples: ImuSamples, arrival_ns: int | None) -> list[Item]:
         out: list[Item] = []
         finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
         if not finite.all():
             self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
         samples = _take(samples, finite)
         for run in self._runs(samples) if len(samples) else []:
-            for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run):
+            for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run, arrival_ns):
                 out.extend(self._emit(passed))
         return out
 
     def _runs(self, samples: ImuSamples) -> list[ImuSamples]:
         """The chunk as it is when time simply goes on in it, else its samples one by one."""
         step_ns = np.diff(samples.stamps_ns)
-        if self._imu_clock.follows(int(samples.stamps_ns[0])) and ((step_ns > 0) & (step_ns <= _JUMP_NS)).all():
+        if self._imu_clock.follows(int(samples.stamps_ns[0])) and ((step_ns > 0) & (step_ns <= JUMP_NS)).all():
             return [samples]
         return [_slice(samples, k, k + 1) for k in range(len(samples))]
 

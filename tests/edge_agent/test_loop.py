@@ -37,7 +37,7 @@ class Log(list[str]):
 
 
 class PassThrough:
-    def push(self, event: Event) -> list[ImuSamples | ScanPacket]:
+    def push(self, event: Event, arrival_ns: int | None = None) -> list[ImuSamples | ScanPacket]:
         return [ScanPacket(event)] if isinstance(event, Scan) else [event]  # type: ignore[list-item]
 
     def finish(self) -> list[ImuSamples | ScanPacket]:
@@ -204,3 +204,14 @@ def test_while_the_service_does_not_follow_the_state_is_unanchored():
     p.uplink.anchored = False  # type: ignore[misc]
     loop.run(batches(1))
     assert p.sink.states == [2, UNANCHORED]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_while_the_lidar_is_unplugged_the_state_is_unanchored(lockstep: bool):
+    p, _ = parts()
+    loop = AgentLoop(p, lockstep)
+    loop.run(batches(5))
+    loop.run([[(0, imu_at(5 * SCAN_NS + 10**9))]])
+    loop.run([[(0, imu_at(5 * SCAN_NS + 2 * 10**9))]])
+    loop.run([[(0, scan(30)), (0, imu_at(31 * SCAN_NS))], [(0, scan(31))], [(0, scan(32)), (0, imu_at(33 * SCAN_NS))]])
+    assert p.sink.states == [*[2] * 6, UNANCHORED, UNANCHORED, 2]  # type: ignore[attr-defined]

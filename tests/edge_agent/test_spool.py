@@ -75,9 +75,17 @@ def test_frames_that_are_durable_leave_the_disk_but_for_the_file_that_says_how_f
     assert again.recovered.newest is not None
     assert again.recovered.newest.seq == 100
     assert again.recovered.durable_seq == 97
+    for head in again.recovered.heads:
+        again.release(head.seq)
+    again.close()
+    again = Spool(tmp_path, 8 * 4000)
+    assert again.recovered.newest is not None
+    assert again.recovered.newest.seq == 100
+    for head in again.recovered.heads:
+        again.release(head.seq)
     again.put(frame(101), 100)  # a newer file says it now
     again.close()
-    assert [head.seq for head in Spool(tmp_path, ROOM).recovered.heads][-1] == 101
+    assert list(kept(tmp_path)) == [101]
 
 
 def test_a_frame_that_was_given_up_does_not_come_back(tmp_path: Path):
@@ -283,7 +291,10 @@ def test_each_way_to_fail_is_counted_by_its_kind_logged_once_and_leaves_nothing_
     wrong.clear()
     assert spool.put(frame(12), 0)
     spool.close()
-    assert kept(tmp_path) == {1: frame(1), 12: frame(12)}
+    again = Spool(tmp_path, ROOM)
+    assert not again.errors
+    assert [head.seq for head in again.recovered.heads] == [1, 12]
+    again.close()
 
 
 def test_a_folder_that_could_not_be_made_is_made_when_it_can(tmp_path: Path):
