@@ -53,7 +53,7 @@ class Fleet:
         return Place(name, link, self._robot(name, link))
 
     def _robot(self, name: str, link: Link) -> LightRobot:
-        return LightRobot(name, self._undisturbed.score, link.address, frames=self._frames)
+        return LightRobot(name, self._undisturbed.reel, link.address, frames=self._frames)
 
     def start(self) -> None:
         for thread in self._threads:

@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from splitslam import se3
 from splitslam.chaos.account import account_of, session_of
 from splitslam.chaos.agent import Agent
 from splitslam.evaluate import evaluate
 from splitslam.run.processes import RunFailedError
 from splitslam.run.session_client import as_trajectory, session_client
+from splitslam.stack.reel import Reel
 from splitslam.tum import Trajectory, read_tum
 from splitslam.wire.types_pb2 import StampedPose
 from tests import tolerances as bars
-from tests.chaos.light_robot import LightRobot, Score
-from tests.e2e.replay import Replayed, trajectory
+from tests.chaos.light_robot import LightRobot
 
 _GONE_S, _ASK_S = 5.0, 30.0
 
@@ -27,7 +28,7 @@ _GONE_S, _ASK_S = 5.0, 30.0
 class Undisturbed:
     """The same drive with nothing done to it. final: the optimised trajectory."""
 
-    score: Score
+    reel: Reel
     final: Trajectory
     truth: Path
 
@@ -37,10 +38,11 @@ class Undisturbed:
         return float(self.final.stamps_ns[-1] - self.final.stamps_ns[0]) * 1e-9
 
     @classmethod
-    def of(cls, run: Replayed, truth: Path) -> Undisturbed:
-        assert run.pipeline is not None
-        final = trajectory(run.stamps_ns, [T for _, _, T in run.pipeline.trajectory()])
-        return cls(Score.of(run), final, truth)
+    def of(cls, reel: Reel, truth: Path) -> Undisturbed:
+        stamps_ns = np.array([frame.stamp_ns for frame in reel.frames], np.int64)
+        poses = np.array(reel.final_T_map_lidar)
+        quats = np.array([se3.quat_from_matrix(T[:3, :3]) for T in poses])
+        return cls(reel, Trajectory(stamps_ns, poses[:, :3, 3].copy(), quats), truth)
 
 
 def session_kept(robot: LightRobot, server: str, undisturbed: Undisturbed) -> list[str]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-import uuid
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,29 +18,12 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.stream import Stream
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer, matrix
+from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
 from tests import tolerances as bars
-from tests.e2e.replay import Replayed
 
 PERIOD_S = 0.1
 _TICK_S = 0.01
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Score:
-    """What is played: frames as they were encoded, seq 1, 2, ..., and what the undisturbed service answers to each.
-
-    hello: without identifiers. T_map_lidar: (N, 4, 4).
-    """
-
-    frames: tuple[bytes, ...]
-    hello: pb.Hello
-    T_map_lidar: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, undisturbed: Replayed) -> Score:
-        """From a run of both pipelines in one process."""
-        return cls(tuple(undisturbed.frames), undisturbed.hello, np.array(undisturbed.T_map_lidar))
 
 
 @dataclass(slots=True)
@@ -138,18 +120,15 @@ class Arrival:
 class LightRobot:
     """One session, played from its first frame to its last and finished; a thread of its own."""
 
-    def __init__(self, name: str, score: Score, server: str, *, frames: int | None = None) -> None:
-        self.name, self._score, self.count = name, score, frames or len(score.frames)
+    def __init__(self, name: str, reel: Reel, server: str, *, frames: int | None = None) -> None:
+        self.name, self._reel, self.count = name, reel, frames or len(reel.frames)
         self.session_id = ""
         self.arrivals: dict[int, Arrival] = {}
         self.sent = 0
         self.finished: pb.Finished | None = None
         self.failure: Exception | None = None
         self.witness = Witness(name)
-        hello = pb.Hello()
-        hello.CopyFrom(score.hello)
-        hello.robot_id, hello.run_id = name, str(uuid.uuid4())
-        self._uplink = _WitnessedUplink(server, hello, self.witness)
+        self._uplink = _WitnessedUplink(server, reel.hello_of(name), self.witness)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -198,7 +177,9 @@ class LightRobot:
         while not self._stopping.is_set() and self.sent < self.count:
             due = min(self.count, int((time.monotonic() - start_s) / PERIOD_S) + 1)
             while self.sent < due:
-                self._uplink.send(pb.Frame.FromString(self._score.frames[self.sent]))
+                frame = pb.Frame()
+                frame.CopyFrom(self._reel.frames[self.sent])  # the uplink writes into it
+                self._uplink.send(frame)
                 self.sent += 1
             self._note_answers()
             time.sleep(_TICK_S)
@@ -225,4 +206,5 @@ class LightRobot:
         """(N,) How far each answered pose is from the undisturbed run's, by seq, m."""
         seqs = sorted(self.arrivals)
         poses = np.array([self.arrivals[seq].answer.reply.T_map_lidar[:3, 3] for seq in seqs]).reshape(-1, 3)
-        return np.linalg.norm(poses - self._score.T_map_lidar[np.array(seqs, int) - 1, :3, 3], axis=1)
+        wanted = np.array([self._reel.T_map_lidar[seq - 1][:3, 3] for seq in seqs]).reshape(-1, 3)
+        return np.linalg.norm(poses - wanted, axis=1)

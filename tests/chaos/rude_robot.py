@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable
 
 import grpc
 
+from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
 from tests import tolerances as bars
 from tests.chaos.invariants import Undisturbed, stored_poses
-from tests.chaos.light_robot import Score
 from tests.map_service.harness import Robot7
 
 _TWICE, _EARLY, _FLIPPED, _LAST = range(1, 16), 25, 16, 30
@@ -18,15 +17,13 @@ _TWICE, _EARLY, _FLIPPED, _LAST = range(1, 16), 25, 16, 30
 
 def be_rude(server: str, undisturbed: Undisturbed, expect: Callable[[bool, str], None]) -> None:
     """One session in a row of bad manners, finished at the end. `expect` is told what should hold."""
-    score = undisturbed.score
-    hello = pb.Hello()
-    hello.CopyFrom(score.hello)
-    hello.robot_id, hello.run_id = "rude", str(uuid.uuid4())
-    _twice_and_too_early(server, hello, score, expect)
+    reel = undisturbed.reel
+    hello = reel.hello_of("rude")
+    _twice_and_too_early(server, hello, reel, expect)
     robot = Robot7(server, hello)
     applied_seq = robot.next("welcome").applied_seq
     for seq in range(applied_seq + 1, _LAST + 1):
-        answer = robot.ask(_flipped(_frame(score, seq)) if seq == _FLIPPED else _frame(score, seq))
+        answer = robot.ask(_flipped(_frame(reel, seq)) if seq == _FLIPPED else _frame(reel, seq))
         wanted = "corrupt" if seq == _FLIPPED else ""
         expect(answer.rejected == wanted, f"rude: frame {seq} rejected {answer.rejected!r}, expected {wanted!r}")
     robot.send(pb.Bye(last_seq=_LAST))
@@ -36,18 +33,18 @@ def be_rude(server: str, undisturbed: Undisturbed, expect: Callable[[bool, str],
     stored = stored_poses(server, f"rude/{hello.run_id}")
     seqs = [pose.seq for pose in stored]
     expect(seqs == [seq for seq in range(1, _LAST + 1) if seq != _FLIPPED], f"rude: stored {seqs}")
-    off_m = max(abs(pose.pose.tx_m - score.T_map_lidar[pose.seq - 1, 0, 3]) for pose in stored)
+    off_m = max(abs(pose.pose.tx_m - reel.T_map_lidar[pose.seq - 1][0, 3]) for pose in stored)
     expect(off_m < bars.CHAOS_WORSE_M, f"rude: {off_m:.3f} m off for want of one frame")
 
 
-def _twice_and_too_early(server: str, hello: pb.Hello, score: Score, expect: Callable[[bool, str], None]) -> None:
+def _twice_and_too_early(server: str, hello: pb.Hello, reel: Reel, expect: Callable[[bool, str], None]) -> None:
     robot = Robot7(server, hello)
     robot.next("welcome")
     for seq in _TWICE:
-        first, second = robot.ask(_frame(score, seq)), robot.ask(_frame(score, seq))
+        first, second = robot.ask(_frame(reel, seq)), robot.ask(_frame(reel, seq))
         same = second.pose_map_lidar == first.pose_map_lidar and second.pose_map_odom == first.pose_map_odom
         expect(second.duplicate and not first.duplicate and same, f"rude: frame {seq} sent twice: {first} {second}")
-    robot.send(_frame(score, _EARLY))
+    robot.send(_frame(reel, _EARLY))
     status, wanted = robot.end(), f"expected seq {_TWICE.stop}"
     expect(status == grpc.StatusCode.ABORTED and wanted in robot.detail, f"rude: too early: {status} {robot.detail}")
     robot.close()
@@ -65,8 +62,10 @@ def _no_message(server: str, expect: Callable[[bool, str], None]) -> None:
     expect(reasons == [pb.REFUSED_REASON_BAD_HELLO], f"rude: noise was answered with {answers}")
 
 
-def _frame(score: Score, seq: int) -> pb.Frame:
-    return pb.Frame.FromString(score.frames[seq - 1])
+def _frame(reel: Reel, seq: int) -> pb.Frame:
+    frame = pb.Frame()
+    frame.CopyFrom(reel.frames[seq - 1])
+    return frame
 
 
 def _flipped(frame: pb.Frame) -> pb.Frame:

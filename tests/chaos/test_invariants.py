@@ -43,9 +43,10 @@ def welcome(epoch: int, durable: int = 0, applied: int = 0) -> pb.StreamResponse
     return pb.StreamResponse(welcome=pb.Welcome(epoch=epoch, durable_seq=durable, applied_seq=applied))
 
 
-def answer(seq: int, durable: int = 0, x_m: float = 0.0, **more: bool) -> pb.StreamResponse:
+def answer(seq: int, durable: int = 0, x_m: float = 0.0, duplicate: bool = False) -> pb.StreamResponse:
     pose = types.Transform(tx_m=x_m, qw=1.0)
-    odometry = pb.Odometry(seq=seq, pose_map_lidar=pose, applied_seq=seq, durable_seq=durable, **more)
+    odometry = pb.Odometry(seq=seq, pose_map_lidar=pose, applied_seq=seq, durable_seq=durable)
+    odometry.duplicate = duplicate
     return pb.StreamResponse(odometry=odometry)
 
 

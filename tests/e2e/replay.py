@@ -18,7 +18,7 @@ from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings as EdgeSettings
 from edge_agent.sources import Event, Sequencer, open_recording
 from edge_agent.types import EncodedFrame, OdomPoses
-from edge_agent.wire import WIRE_VERSION, Answer, answer, frame_message
+from edge_agent.wire import Answer, answer, frame_message
 from map_service import messages
 from map_service.loops import LoopVerifier
 from map_service.pipeline import MapPipeline
@@ -26,7 +26,7 @@ from map_service.settings import PipelineSettings as MapSettings
 from map_service.types import State
 from splitslam import codec, se3
 from splitslam.evaluate import Evaluation, evaluate
-from splitslam.robot import Robot, load_robot, robot_to_yaml
+from splitslam.robot import Robot, load_robot
 from splitslam.tum import Trajectory, read_tum
 from splitslam.wire import session_pb2 as pb
 
@@ -37,9 +37,7 @@ Arrives = Callable[[int], bool]
 
 @dataclass
 class Replayed:
-    """What came out: by scan the frame as sent (pb.Frame, serialised), the answered state and poses; the node, and
-    everything that was dropped, by reason.
-    """
+    """What came out: by scan the answered state and poses; the node, and everything that was dropped, by reason."""
 
     stamps_ns: list[int] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
@@ -50,10 +48,8 @@ class Replayed:
     dropped: Counter[str] = field(default_factory=Counter)
     read: int = 0
     uncovered: int = 0
-    frames: list[bytes] = field(default_factory=list)
     node: Imu | None = None
     pipeline: MapPipeline | None = None
-    hello: pb.Hello = field(default_factory=pb.Hello)
 
     @property
     def jumps(self) -> dict[str, float]:
@@ -84,7 +80,6 @@ class _Service:
         decoded = codec.decode(frame.payload, frame.seq, frame.stamp_ns, frame.dense, self._beams)
         fixes, _ = messages.fixes_from_wire(list(frame.fixes))
         mapped, out = self._pipeline.process(decoded, fixes), self._out
-        out.frames.append(frame.SerializeToString())
         out.stamps_ns.append(mapped.stamp_ns)
         out.states.append(mapped.state)
         out.degenerate_axes.append(mapped.degenerate_axes)
@@ -152,14 +147,6 @@ def replay(
         loop.run([event] for event in harm(read.events()))
         assert loop.finish()
         service.finish()
-        out.hello = pb.Hello(
-            robot_file_yaml=robot_to_yaml(read.robot),
-            beam_elevations_rad=read.beam_elevations_rad.tolist(),
-            wire_version=WIRE_VERSION,
-            codec_version=codec.CODEC_VERSION,
-            deskew=edge.image_node.name,
-            disable=list(disable),
-        )
         out.node, out.pipeline, out.uncovered = node, service, sequencer.uncovered
         out.read = read.counts.scans_read
     out.dropped = Counter(metrics.all_dropped())
