@@ -72,7 +72,10 @@ def write_gif(path: Path, frames: list[Frame], rows: int) -> None:
             chosen.append(screen)
             next_s = now_s + _EVERY_S
     images = [draw(screen, rows) for screen in (*chosen, frames[-1][1])]
-    palette = images[len(images) // 2].quantize(48, dither=Image.Dither.NONE)
+    seen = Image.new("RGB", (images[0].width, images[0].height * 2))
+    for k, image in enumerate((images[len(images) // 2], images[-1])):
+        seen.paste(image, (0, k * image.height))
+    palette = seen.quantize(64, dither=Image.Dither.NONE)
     flat = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     durations_ms = [round(1000 * _EVERY_S / _SPEED)] * len(chosen) + [round(1000 * _END_S)]
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=durations_ms, loop=0, optimize=True)

@@ -13,8 +13,8 @@ from splitslam.run.session_client import as_trajectory
 from splitslam.tum import Trajectory, read_tum
 from splitslam.wire.types_pb2 import StampedPose
 
-# A scan that was being taken when the agent died: its 0.1 s, and as much again to be coded and put away.
-_UNDER_WAY_NS = 250_000_000
+# Scans that were being taken, or waited in the queue, when the agent died.
+_UNDER_WAY_NS = 500_000_000
 _NO_SCANS = frozenset({"feed_slow_reader", "buffer_full_after_answer"})
 _STAMP_NS = 2_000_000  # the recording's stamps are rounded
 

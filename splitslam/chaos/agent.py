@@ -52,7 +52,7 @@ class Life:
         """A file it wrote, such as imu.tum; of a life ended by force what had reached the disk. None: nothing."""
         whole, part = self.folder / name, self.folder / f".{name}.part"
         if whole.exists():
-            return read_tum(whole)
+            return read_tum(whole) if whole.stat().st_size else None
         lines = part.read_text().splitlines(keepends=True) if part.exists() else []
         torn = lines and not lines[-1].endswith("\n")
         kept = lines[:-1] if torn else lines

@@ -20,9 +20,9 @@ HARMS = {
 KEYS = {"k": "kill replica", "s": "kill store", "n": "cut network", "a": "kill agent"}
 DEFAULT = """
  4   kill replica
-10   kill store     3
-17   cut network    6
-28   kill agent
+ 9   kill agent
+16   kill store     3
+26   cut network    6
 """
 
 
