@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from map_service.store_command import sessions_app, store_app
 from splitslam.errors import InputError
 
 _UsageError: Any = typer.BadParameter.__base__
@@ -19,6 +20,10 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+app.add_typer(store_app, name="store")
+app.add_typer(sessions_app, name="sessions")
 
 
 @app.callback(invoke_without_command=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Row, delete, func, select
+from sqlalchemy import Connection, Row, delete, func, select
 
 from map_service import schema
 from map_service.rows import unpack_pose
@@ -53,19 +53,8 @@ class Catalog:
 
     def delete(self, session_id: str) -> Deleted | None:
         """Remove a session with everything it stored; None: there is none."""
-        t = schema.sessions
         with self._store.writing() as connection:
-            # locked: a commit of its owner either comes before all of this or finds nothing to write to
-            query = select(t.c.id, t.c.bytes).where(t.c.session_id == session_id).with_for_update()
-            row = connection.execute(query).first()
-            if row is None:
-                return None
-            removed = {
-                table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
-                for table in schema.SESSION_TABLES
-            }
-            connection.execute(delete(t).where(t.c.id == row.id))
-            return Deleted(removed["frames"], removed["keyframes"], row.bytes)
+            return delete_session(connection, session_id)
 
     def trajectory(self, key: int) -> Iterator[list[tuple[int, int, np.ndarray]]]:
         """Chunks of at most 1,000 (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only."""
@@ -77,28 +66,48 @@ class Catalog:
                     select(k.c.keyframe, k.c.pose_map_lidar).where(k.c.session == key)
                 )
             }
-            rows = connection.execution_options(yield_per=_PAGE_ROWS).execute(
+            query = (
                 select(f.c.seq, f.c.stamp_ns, f.c.keyframe, f.c.pose_keyframe_lidar)
                 .where(f.c.session == key, f.c.rejected == "")
                 .order_by(f.c.seq)
             )
-            for page in rows.partitions():
-                yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
+            with connection.execution_options(yield_per=_PAGE_ROWS).execute(query) as rows:
+                for page in rows.partitions():
+                    yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
     def keyframes(self, key: int) -> Iterator[StoredKeyframe]:
         """Every keyframe with its cloud, one at a time."""
         k, c = schema.keyframes, schema.clouds
         with self._store.reading() as connection:
-            rows = connection.execution_options(yield_per=16).execute(
+            query = (
                 select(k.c.keyframe, k.c.pose_map_lidar, c.c.cloud)
                 .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
                 .where(k.c.session == key)
                 .order_by(k.c.keyframe)
             )
-            for index, pose, cloud in rows:
-                yield StoredKeyframe(index, unpack_pose(pose), cloud)
+            with connection.execution_options(yield_per=16).execute(query) as rows:
+                for index, pose, cloud in rows:
+                    yield StoredKeyframe(index, unpack_pose(pose), cloud)
 
-    def bytes(self) -> int:
-        """What all sessions have written, without the database's own overhead."""
+    def bytes_by_site(self) -> dict[str, int]:
+        """What the sessions of each site have written, without the database's own overhead."""
+        t = schema.sessions
+        query = select(t.c.site_id, func.sum(t.c.bytes)).group_by(t.c.site_id)
         with self._store.reading() as connection:
-            return int(connection.execute(select(func.coalesce(func.sum(schema.sessions.c.bytes), 0))).scalar_one())
+            return {site: int(size) for site, size in connection.execute(query)}
+
+
+def delete_session(connection: Connection, session_id: str) -> Deleted | None:
+    """Every row of a session, within a transaction that writes; None: there is none."""
+    t = schema.sessions
+    # locked: a commit of its owner either comes before all of this or finds nothing to write to
+    query = select(t.c.id, t.c.bytes).where(t.c.session_id == session_id).with_for_update()
+    row = connection.execute(query).first()
+    if row is None:
+        return None
+    removed = {
+        table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
+        for table in schema.SESSION_TABLES
+    }
+    connection.execute(delete(t).where(t.c.id == row.id))
+    return Deleted(removed["frames"], removed["keyframes"], row.bytes)

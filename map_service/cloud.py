@@ -31,7 +31,7 @@ def encode_cloud(
     delta = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32)).astype("<i4")
     # byte planes: the high bytes of neighbouring points' differences are nearly all alike
     body = np.ascontiguousarray(delta.T).view(np.uint8).reshape(3, -1, 4).transpose(0, 2, 1).tobytes()
-    packed = zstandard.ZstdCompressor(level=3).compress(body + intensity.tobytes())
+    packed = zstandard.ZstdCompressor(level=3, write_checksum=True).compress(body + intensity.tobytes())
     return _HEADER.pack(_MAGIC, _VERSION, len(corners_lidar), len(surfs_lidar)) + packed
 
 

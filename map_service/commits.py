@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from map_service.config import CommitConfig
@@ -42,6 +43,10 @@ class Committer:
 
     def submit(self, log: CommitLog, epoch: int, entry: SessionCommit) -> Future[None]:
         return self._thread.submit(self._write, log, epoch, entry)
+
+    def run(self, job: Callable[[], None]) -> Future[None]:
+        """Something else that waits for the store, between commits."""
+        return self._thread.submit(job)
 
     def give_up_after(self, seconds: float) -> None:
         """The worker drains: what the store does not take until then is the robots' to send again."""

@@ -70,6 +70,22 @@ class CommitConfig(Model):
     drain_s: float = Field(default=5.0, ge=0, description="how long a failing store is tried when the service ends")
 
 
+class QuotaConfig(Model):
+    """How much a site may store (map_service/quota.py)."""
+
+    site_bytes: int = Field(default=0, ge=0, description="of each site; 0: no quota")
+    sites: dict[str, int] = Field(default={}, description="of sites by name, instead; 0: no quota")
+    every_s: float = Field(default=5.0, gt=0, description="how often the store is asked what there is")
+    retry_after_s: float = Field(default=30.0, gt=0, description="when a robot that was refused may ask again")
+
+
+class RetentionConfig(Model):
+    """How long finished sessions are kept (map_service/housekeeping.py)."""
+
+    finished_days: float = Field(default=0.0, ge=0, description="0: for ever")
+    sites: dict[str, float] = Field(default={}, description="of sites by name, instead; 0: for ever")
+
+
 class ServiceConfig(Model):
     """`map-service serve`."""
 
@@ -87,6 +103,9 @@ class ServiceConfig(Model):
     commit: CommitConfig = CommitConfig()
     replica: ReplicaConfig = ReplicaConfig()
     advice: AdviceConfig = AdviceConfig()
+    quota: QuotaConfig = QuotaConfig()
+    retention: RetentionConfig = RetentionConfig()
+    housekeeping_s: float = Field(default=60.0, gt=0, description="how often retention is seen to, the store measured")
     pipeline: PipelineSettings = PipelineSettings()
 
     @property

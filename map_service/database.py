@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from sqlalchemy import Engine
 from sqlalchemy.engine import make_url
@@ -55,7 +56,7 @@ def open_engine(url: str, patience_s: float = 0.0) -> Engine:
 
     patience_s: how long to wait for a server that does not answer yet.
     """
-    engine = _engine(url)
+    engine = plain_engine(url)
     until_s = time.monotonic() + patience_s
     waited = False
     while True:
@@ -75,7 +76,27 @@ def open_engine(url: str, patience_s: float = 0.0) -> Engine:
         time.sleep(_TRY_EVERY_S)
 
 
-def _engine(url: str) -> Engine:
+def check_exists(url: str) -> None:
+    """Raises InputError for a SQLite file that is not there: commands that look make none."""
+    engine = plain_engine(url)
+    path = engine.url.database
+    if engine.dialect.name == "sqlite" and path and not Path(path).is_file():
+        raise InputError(f"store: {shown(url)}: no such file")
+
+
+@contextmanager
+def input_errors(engine: Engine) -> Iterator[None]:
+    """What the database says as one line of InputError."""
+    try:
+        yield
+    except DBAPIError as error:
+        raise InputError(f"store: {engine.url.render_as_string()}: {one_line(error.orig)}") from error
+    finally:
+        engine.dispose()
+
+
+def plain_engine(url: str) -> Engine:
+    """The engine, whatever the database holds. Raises InputError for a URL that cannot be used."""
     try:
         parsed = make_url(url)
         kind = parsed.get_backend_name()

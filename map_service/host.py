@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 from google.protobuf.message import DecodeError as WireError
@@ -16,6 +17,7 @@ from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
 from map_service.hello import RefusedError, SessionRequest, read_hello
+from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.tally import Tally
@@ -39,6 +41,10 @@ class SessionHost:
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
         self._send = send
         self._committer = Committer(store, config.commit, self.tally)
+        self._quotas = SiteQuotas(config.quota, Catalog(store))
+        self._quotas_looked_s = time.monotonic()
+        self._quotas_look: Future[None] | None = None
+        self._leaving: set[int] = set()  # streams whose sessions are being handed over
         self._released: list[str] = []
         self._poison: dict[str, int] = {}
 
@@ -117,6 +123,9 @@ class SessionHost:
     def _take_over(self, request: SessionRequest) -> Session:
         if self._committer.away:  # one robot's Hello must not make the others wait
             raise StoreError("commits are being tried again")
+        if self._quotas.any:
+            self._quotas.refresh()
+            self._quotas.check(request.opening.site_id)
         held = self.sessions.get(request.session_id)
         if held is not None:
             if held.stream is not None:
@@ -260,6 +269,8 @@ class SessionHost:
                     if not session.log.waiting:
                         self._say_finished(session)
                     continue
+                if session.stream in self._leaving and not session.log.waiting:
+                    self._handed(session)
                 if session.commit_due:
                     session.commit()
                 while session.held and session.stream is not None and not session.log.full:
@@ -272,7 +283,33 @@ class SessionHost:
                 _log.exception("commit failed", extra={"fields": {"session": session.request.session_id}})
                 self._abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
                 self._drop(session.request.session_id)
+        self._keep_quotas()
         self._evict()
+
+    def _keep_quotas(self) -> None:
+        """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""
+        if not self._quotas.any:
+            return
+        look, now_s = self._quotas_look, time.monotonic()
+        if look is None:
+            if now_s - self._quotas_looked_s >= self.config.quota.every_s:
+                self._quotas_look = self._committer.run(self._quotas.refresh)
+            return
+        if not look.done():
+            return
+        self._quotas_look, self._quotas_looked_s = None, now_s
+        if look.exception() is not None:  # a store that is away is somebody else's to report
+            return
+        for session in list(self.sessions.values()):
+            if session.stream is None or session.finishing:
+                continue
+            try:
+                self._quotas.check(session.request.opening.site_id)
+            except RefusedError as refusal:
+                session.commit()
+                stream = session.stream
+                self._detach(stream)
+                self._refuse(stream, refusal.message)
 
     def _evict(self) -> None:
         limits, now_s = self.config.limits, time.monotonic()
@@ -302,6 +339,7 @@ class SessionHost:
             self._detach(session.stream)
 
     def _detach(self, stream: int) -> None:
+        self._leaving.discard(stream)
         session = self.sessions.get(self.streams.pop(stream, ""))
         if session is not None and session.stream == stream:
             session.stream, session.touched_s = None, time.monotonic()
@@ -311,27 +349,20 @@ class SessionHost:
         session = self.sessions.pop(session_id, None)
         if session is not None:
             if session.stream is not None:
-                self.streams.pop(session.stream, None)
+                self._detach(session.stream)
             self._released.append(session_id)
 
     # -- handing over -------------------------------------------------------------------------------------------
 
     def _hand_over(self, stream: int) -> None:
-        """One session, to another replica. It stays in memory for the case that the robot comes back."""
+        """One session, to another replica, once it is durable. It stays in memory, should the robot come back."""
         session = self.sessions.get(self.streams.get(stream, ""))
-        if session is None:  # its stream was ended meanwhile
-            return
-        try:
+        if session is not None:  # else its stream was ended meanwhile
             session.commit()
-            self._handed(session, FLUSH_S)
-        except FencedError as error:
-            self._fenced(session, error)
-        except StoreError as error:
-            self._store_failed(session, error)
+            self._leaving.add(stream)
 
-    def _handed(self, session: Session, within_s: float) -> None:
-        """Waits for the commits; what the robot still sends on this stream is for the next replica. Raises as flush."""
-        session.log.flush(within_s)
+    def _handed(self, session: Session) -> None:
+        """Everything is durable: what the robot still sends on this stream is for the next replica."""
         if session.stream is not None:
             self._send(Handed(session.stream, session.log.durable_seq))
             self._detach(session.stream)
@@ -344,7 +375,10 @@ class SessionHost:
             session.commit()
         for session in sessions:
             try:
-                self._handed(session, self.config.commit.drain_s + FLUSH_S)
+                session.log.flush(self.config.commit.drain_s + FLUSH_S)
+                if session.finishing:
+                    self._say_finished(session)
+                self._handed(session)
             except (FencedError, StoreError) as error:
                 fields = {"session": session.request.session_id, "detail": str(error)}
                 _log.error("not committed at drain", extra={"fields": fields})

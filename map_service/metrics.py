@@ -35,6 +35,12 @@ class ServiceMetrics:
         self.queue_depth = Gauge("splitslam_map_queue_frames", "Frames waiting for an answer", ["worker"], registry=r)
         self.restarts = Counter("splitslam_map_worker_restarts", "Workers that died", registry=r)
         self.refused = self._counter("splitslam_map_refused", "Streams refused", "reason")
+        self.store_bytes = Gauge(
+            "splitslam_map_store_bytes", "What the sessions of a site have stored", ["site"], registry=r
+        )
+        self.database_bytes = Gauge("splitslam_map_database_bytes", "The store as it lies on disk", registry=r)
+        self.retention = Counter("splitslam_map_retention_sessions", "Finished sessions deleted for age", registry=r)
+        self.retention_bytes = Counter("splitslam_map_retention_bytes", "What they had stored", registry=r)
         self.drained = self._counter("splitslam_map_drained", "Robots sent to another replica", "reason")
         for reason in ("shutdown", "rebalance"):
             self.drained.labels(reason)

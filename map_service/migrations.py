@@ -7,15 +7,17 @@ N + 1, and replicas are upgraded one after the other; the other way, what a vers
 from __future__ import annotations
 
 import logging
+import time
 from dataclasses import dataclass
 
-from sqlalchemy import Column, Connection, Engine, Table, func, insert, inspect, select, text, update
+from sqlalchemy import Column, Connection, Engine, Table, delete, func, insert, inspect, select, text, update
 from sqlalchemy.schema import CreateColumn
 
 from map_service import schema
 from splitslam.errors import InputError
 
 _KEY = "schema_version"
+_SINCE = "since_"
 _LOCK = 0x53504C4954  # PostgreSQL's advisory lock of those who make or migrate
 
 _log = logging.getLogger(__name__)
@@ -62,7 +64,7 @@ def make_or_check(engine: Engine) -> None:
     Raises InputError for a version that this service can neither use nor migrate.
     """
     with engine.connect() as connection:
-        found = _version(connection)
+        found = version(connection)
     if found == VERSION + 1:
         _log.info("the store is one version ahead", extra={"fields": {"store": found, "service": VERSION}})
     elif found is not None and found > VERSION:
@@ -81,7 +83,7 @@ def migrate(engine: Engine, to: int = VERSION) -> Migrated:
     with engine.execution_options(write=True).begin() as connection:
         if connection.dialect.name == "postgresql":  # SQLite's writers wait for each other as they are
             connection.execute(select(func.pg_advisory_xact_lock(_LOCK)))
-        found = _version(connection)
+        found = version(connection)
         if found is None:
             schema.metadata.create_all(connection)
             connection.execute(insert(schema.meta).values(key=_KEY, value=str(VERSION)))
@@ -93,16 +95,32 @@ def migrate(engine: Engine, to: int = VERSION) -> Migrated:
         for step in MIGRATIONS:
             if (found or VERSION) < step.version <= to:
                 step.add(connection)
+                connection.execute(insert(schema.meta).values(key=f"{_SINCE}{step.version}", value=str(time.time())))
         for step in reversed(MIGRATIONS):
             if to < step.version <= (found or VERSION):
                 step.remove(connection)
+                connection.execute(delete(schema.meta).where(schema.meta.c.key == f"{_SINCE}{step.version}"))
         connection.execute(update(schema.meta).where(schema.meta.c.key == _KEY).values(value=str(to)))
     if found not in (None, to):
         _log.info("store migrated", extra={"fields": {"before": found, "after": to}})
     return Migrated(found or 0, to)
 
 
-def _version(connection: Connection) -> int | None:
+def since(connection: Connection) -> dict[int, float]:
+    """Since when the store has each version that it was not made with, Unix time; now for those to come."""
+    query = select(schema.meta.c.key, schema.meta.c.value).where(schema.meta.c.key.like(f"{_SINCE}%"))
+    noted = {int(key.removeprefix(_SINCE)): float(value) for key, value in connection.execute(query)}
+    return dict.fromkeys(range((version(connection) or 0) + 1, VERSION + 1), time.time()) | noted
+
+
+def note_since(connection: Connection, times_s: dict[int, float]) -> None:
+    """Content of that age came in."""
+    connection.execute(delete(schema.meta).where(schema.meta.c.key.like(f"{_SINCE}%")))
+    for number, time_s in times_s.items():
+        connection.execute(insert(schema.meta).values(key=f"{_SINCE}{number}", value=str(time_s)))
+
+
+def version(connection: Connection) -> int | None:
     """None: there are no tables. Raises InputError for tables that are not a store's."""
     if not inspect(connection).has_table(schema.meta.name):
         return None

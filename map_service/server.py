@@ -15,6 +15,7 @@ from grpc_reflection.v1alpha import reflection
 from map_service.config import ServiceConfig
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
+from map_service.housekeeping import Housekeeper
 from map_service.membership import Membership, own_address
 from map_service.metrics import ServiceMetrics
 from map_service.rebalance import Rebalancer
@@ -64,12 +65,14 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         await server.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
         scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
+        keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
         membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
         rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
         if _shared(config, store):
             membership.start()
         await stopping
+        keeping.cancel()
         _log.info("draining")
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
         rebalancing.cancel()

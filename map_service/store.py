@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
-from sqlalchemy import Connection, Engine, insert, select, update
+from sqlalchemy import Connection, Engine, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from map_service import schema
@@ -88,6 +89,15 @@ class Store:
     def writing(self) -> Iterator[Connection]:
         with store_errors(), self._writer.begin() as connection:
             yield connection
+
+    def size_bytes(self) -> int:
+        """Of the database as it lies on disk, everything included."""
+        if self.engine.dialect.name == "sqlite":
+            path = Path(str(self.engine.url.database))
+            files = (path, path.with_name(path.name + "-wal"))
+            return sum(file.stat().st_size for file in files if file.exists())
+        with self.reading() as connection:
+            return int(connection.execute(select(func.pg_database_size(func.current_database()))).scalar_one())
 
     def open_session(self, opening: Opening) -> OpenedSession:
         """Take the session over: its epoch grows by one. Raises FinishedError for one that has ended."""

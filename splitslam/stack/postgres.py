@@ -11,7 +11,7 @@ import socket
 import subprocess
 from pathlib import Path
 
-from splitslam.stack.process import StackError, StackProcess, check_stack_installed, free_port, wait_until
+from splitslam.stack.process import StackError, StackProcess, check_stack_installed, descendants, free_port, wait_until
 
 _START_S, _STOP_S = 30.0, 5.0
 _USER = "splitslam"
@@ -79,7 +79,7 @@ class PostgresServer(StackProcess):
 
     def kill(self) -> None:
         """SIGKILL to the server and each of its backends: every connection breaks, nothing is flushed."""
-        backends = _children(self.pid) if self.alive else []
+        backends = descendants(self.pid) if self.alive else []
         super().kill()
         for pid in backends:
             with contextlib.suppress(ProcessLookupError):
@@ -95,8 +95,3 @@ def _binary(name: str) -> Path:
     assert spec is not None
     assert spec.origin is not None
     return Path(spec.origin).parent / "pginstall18" / "bin" / name
-
-
-def _children(pid: int) -> list[int]:
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]

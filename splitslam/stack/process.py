@@ -52,6 +52,16 @@ def wait_until(done: Callable[[], bool], timeout_s: float, what: str) -> None:
         time.sleep(_TICK_S)
 
 
+def descendants(pid: int) -> list[int]:
+    """Processes that a process has started, and those that they have."""
+    try:
+        tasks = list(Path(f"/proc/{pid}/task").iterdir())
+        children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+    return children + [below for child in children for below in descendants(child)]
+
+
 class StackProcess:
     """A program that is started again and again under one name; its output is appended to `log`.
 
@@ -115,12 +125,17 @@ class StackProcess:
             os.kill(self.pid, number)
 
     def freeze(self) -> None:
-        """SIGSTOP to it alone: what it has started goes on, as does the kernel's part of its connections."""
-        self.send(signal.SIGSTOP)
+        """SIGSTOP to it and to what it has started; the kernel's part of its connections goes on."""
+        self._to_all(signal.SIGSTOP)
 
     def thaw(self) -> None:
-        """SIGCONT."""
-        self.send(signal.SIGCONT)
+        """SIGCONT to the same."""
+        self._to_all(signal.SIGCONT)
+
+    def _to_all(self, number: signal.Signals) -> None:
+        for pid in (self.pid, *descendants(self.pid)) if self.alive else ():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
 
     def kill(self) -> None:
         """SIGKILL, and waits for its end."""

@@ -19,7 +19,7 @@ DRAIN_S = 10.0
 
 
 class Replica(StackProcess):
-    """`map-service serve`. freeze and thaw stop and continue its front; its workers go on and so end up fenced."""
+    """`map-service serve`, its workers included: they end with it, and freeze and thaw with it."""
 
     def __init__(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from map_service.rows import SessionCommit
 from map_service.store import Opening
 from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord
 from splitslam import se3
+from tests.map_service.fakes import made_cloud
 
+JSON = json.dumps({"v": 1}).encode()
 OPENING = Opening("r/1", "r", "1", "site", "", "robot: {}")
 
 
@@ -32,3 +35,16 @@ def entry(previous: int, last: int, *, keyframes: tuple[int, ...] = (), **change
         [(k, f"place {k}".encode()) for k in keyframes],
     )
     return replace(SessionCommit(commit, {seq: pose(seq + 200) for seq in seqs}), **changes)
+
+
+def sound() -> SessionCommit:
+    """Frames 1 to 9 but for 5 and 6, of which 8 was rejected; two keyframes and a loop."""
+    made = entry(0, 9, keyframes=(0, 1), holes=[(7, 4)], rejected=[(8, 8000, "corrupt")])
+    commit = replace(
+        made.commit,
+        frames=[frame for frame in made.commit.frames if frame.seq not in (5, 6, 8)],
+        keyframes=[replace(k, cloud=made_cloud()) for k in made.commit.keyframes],
+        factors=[FactorRecord(i, kind, JSON) for i, kind in enumerate(("prior", "odometry", "loop"))],
+        tracker=JSON,
+    )
+    return replace(made, commit=commit)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from map_service.cloud import encode_cloud
+from map_service.database import StoreError
 from map_service.hello import SessionRequest
 from map_service.settings import PipelineSettings
 from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord, MapAnswer, Snapshot, State
@@ -28,7 +29,7 @@ POINTS_LIDAR = np.array([[1, 0, 0], [0, 2, 0], [0, 0.01, 0]], np.float32)
 
 
 def payload(does: str = "map", **values: Any) -> bytes:
-    """does: map | corrupt | raise | crash | sleep (seconds=) | touch (path=)."""
+    """does: map | corrupt | raise | crash (once=) | away (once=) | sleep (seconds=)."""
     return json.dumps({"does": does, **values}).encode()
 
 
@@ -58,7 +59,7 @@ class FakePipeline:
         if keyframe:
             index = len(self.keyframes)
             self.keyframes.append(x_m)
-            self.new_keyframes.append(KeyframeRecord(index, seq, stamp_ns, at(x_m), _cloud()))
+            self.new_keyframes.append(KeyframeRecord(index, seq, stamp_ns, at(x_m), made_cloud()))
             self.factors.append(FactorRecord(index, "odometry" if index else "prior", b"f"))
         newest = len(self.keyframes) - 1
         pose = at(x_m - self.keyframes[newest])
@@ -72,6 +73,10 @@ class FakePipeline:
                 if not os.path.exists(frame["once"]):
                     open(frame["once"], "w").close()
                     os._exit(9)
+            case "away":
+                if not os.path.exists(frame["once"]):
+                    open(frame["once"], "w").close()
+                    raise StoreError("a cloud cannot be fetched")
             case "raise":
                 raise RuntimeError("told to")
             case "sleep":
@@ -120,7 +125,8 @@ class FakeEngine:
         pass
 
 
-def _cloud() -> bytes:
+def made_cloud() -> bytes:
+    """Encoded; surfs alone."""
     n = len(POINTS_LIDAR)
     nothing = POINTS_LIDAR[:0]
     intensity = np.arange(n, dtype=np.uint8)

@@ -66,7 +66,7 @@ def columns(engine: Engine) -> dict[str, dict[str, str]]:
 
 def version(engine: Engine) -> str | None:
     with engine.connect() as connection:
-        return connection.execute(select(schema.meta.c.value)).scalar()
+        return connection.execute(select(schema.meta.c.value).where(schema.meta.c.key == "schema_version")).scalar()
 
 
 def test_a_store_of_the_first_version_is_taken_along_with_its_sessions(old_url: str) -> None:

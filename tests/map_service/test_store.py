@@ -172,11 +172,11 @@ def test_a_delete_says_what_it_removed_and_leaves_no_row(store: Store) -> None:
         opened = store.open_session(replace(OPENING, session_id=session_id))
         store.commit(opened.key, 1, entry(0, 3, keyframes=(0, 1), holes=[(2, 0)]))
     catalog = Catalog(store)
-    total = catalog.bytes()
+    total = catalog.bytes_by_site()["site"]
     deleted = catalog.delete("r/1")
     assert deleted is not None
     assert (deleted.frames, deleted.keyframes, 2 * deleted.bytes) == (3, 2, total)
-    assert catalog.bytes() == total - deleted.bytes
+    assert catalog.bytes_by_site() == {"site": total - deleted.bytes}
     with store.reading() as connection:
         for table in schema.SESSION_TABLES:
             assert {row.session for row in connection.execute(table.select())} == {opened.key}

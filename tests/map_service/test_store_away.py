@@ -6,11 +6,14 @@ import queue
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
+
+import grpc
 
 from map_service.catalog import Catalog
 from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
-from tests.map_service.fakes import FINAL_SHIFT_M
+from tests.map_service.fakes import FINAL_SHIFT_M, payload
 from tests.map_service.harness import Operator, Robot7, Service, frame, hello, new_run
 from tests.postgres import DatabaseServer
 
@@ -113,3 +116,22 @@ def test_what_was_called_durable_is_in_the_store_after_it_was_killed_under_load(
     store.close()
     assert row is not None
     assert 0 < robot.durable_seq <= row.last_seq
+
+
+def test_a_store_that_fails_in_the_middle_of_a_frame_has_it_mapped_once_all_the_same(
+    service: Service, connect: Callable[..., Robot7], operator: Operator, session_id: str, tmp_path: Path
+) -> None:
+    robot = connect(service)
+    for seq in range(1, 8):
+        robot.ask(frame(seq))
+    robot.wait_durable(6)
+    harmed = frame(8, payload("away", once=str(tmp_path / "was away")))
+    robot.send(harmed)
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    resumed = connect(service)
+    for seq in range(resumed.next("welcome").durable_seq + 1, 8):
+        resumed.ask(frame(seq))
+    assert resumed.ask(harmed).pose_map_lidar.tx_m == 8.0
+    resumed.send(pb.Bye(last_seq=8))
+    assert resumed.next("finished").mapped == 8
+    assert operator.poses(session_id) == [(seq, seq + FINAL_SHIFT_M) for seq in range(1, 9)]

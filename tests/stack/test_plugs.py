@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Callable
 
@@ -12,7 +10,7 @@ from splitslam.stack.process import wait_until
 from splitslam.stack.robot import LightRobot
 from tests import tolerances as bars
 from tests.map_service.fakes import FINAL_SHIFT_M
-from tests.map_service.harness import Operator, descendants
+from tests.map_service.harness import Operator
 from tests.stack.watch import events, fenced, fullest, loads, owner, rebalanced, streams
 
 Drive = Callable[[int], list[LightRobot]]
@@ -81,13 +79,11 @@ def test_a_frozen_replica_is_left_and_cannot_write_when_it_wakes(whole: Stack, d
     theirs = next(robot for robot in robots if owner(whole, robot) == frozen.name)
     wait_until(lambda: theirs.answered % 5 == 3, 10.0, "a frame between two commits")
     workers = frozen.workers()
-    processes = [frozen.pid, *descendants(frozen.pid)]
     since_s = time.monotonic()
-    for pid in processes:
-        os.kill(pid, signal.SIGSTOP)
-    time.sleep(3.0)
-    for pid in processes:
-        os.kill(pid, signal.SIGCONT)
+    frozen.freeze()
+    wait_until(lambda: frozen.address not in whole.envoy.healthy(), 3.0, "the proxy to take it out")
+    time.sleep(max(0.0, since_s + 3.0 - time.monotonic()))
+    frozen.thaw()
     go_on(robots)
     check_gaps(robots, since_s, bars.FROZEN_REPLICA_GAP_S)
     wait_until(lambda: fenced(frozen) > before, 5.0, "the zombie's commit refused")

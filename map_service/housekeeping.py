@@ -1,0 +1,120 @@
+"""What a store needs now and then: finished sessions of before deleted, its size measured."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, and_, func, or_, select, update
+
+from map_service import schema
+from map_service.catalog import Catalog, delete_session
+from map_service.config import RetentionConfig, ServiceConfig
+from map_service.database import StoreError
+from map_service.metrics import ServiceMetrics
+from map_service.store import Store
+
+DAY_S = 86_400.0
+OTHER = "other"
+_LOCK = 0x53504C55  # PostgreSQL's advisory lock of the replica that deletes
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """What one deletion by retention removed."""
+
+    session_id: str
+    site_id: str
+    frames: int
+    keyframes: int
+    bytes: int
+
+
+class Retention:
+    """Deletes finished sessions that are older than their site keeps them, one replica at a time."""
+
+    def __init__(self, store: Store, config: RetentionConfig) -> None:
+        self._store, self._config = store, config
+
+    def run(self, now_s: float) -> list[Removed]:
+        """now_s: Unix time. Raises StoreError; what was deleted until then is deleted."""
+        if not (self._config.finished_days or any(self._config.sites.values())):
+            return []
+        removed = []
+        while (one := self._remove_one(now_s)) is not None:
+            _log.info("session deleted by retention", extra={"fields": {
+                "session": one.session_id, "site": one.site_id, "frames": one.frames, "bytes": one.bytes,
+            }})  # fmt: skip
+            removed.append(one)
+        return removed
+
+    def _remove_one(self, now_s: float) -> Removed | None:
+        """A transaction for each: commits of running sessions come in between."""
+        t = schema.sessions
+        with self._store.writing() as connection:
+            if not _alone(connection):
+                return None
+            # finished under a service that did not note when: it counts from now
+            unknown = and_(t.c.finished.is_(True), t.c.finished_s.is_(None))
+            connection.execute(update(t).where(unknown).values(finished_s=now_s))
+            query = select(t.c.id, t.c.session_id, t.c.site_id).where(t.c.finished.is_(True), self._expired(now_s))
+            row = connection.execute(query.order_by(t.c.finished_s).limit(1)).first()
+            if row is None:
+                return None
+            d = delete_session(connection, row.session_id)
+            return None if d is None else Removed(row.session_id, row.site_id, d.frames, d.keyframes, d.bytes)
+
+    def _expired(self, now_s: float):
+        t, named = schema.sessions, self._config.sites
+        rules = [
+            and_(t.c.site_id == site, t.c.finished_s < now_s - days * DAY_S) for site, days in named.items() if days
+        ]
+        if self._config.finished_days:
+            rest = t.c.finished_s < now_s - self._config.finished_days * DAY_S
+            rules.append(and_(t.c.site_id.not_in(list(named)), rest))
+        return or_(*rules)
+
+
+def _alone(connection: Connection) -> bool:
+    """SQLite has one writer at a time anyway."""
+    if connection.dialect.name == "sqlite":
+        return True
+    return bool(connection.execute(select(func.pg_try_advisory_xact_lock(_LOCK))).scalar())
+
+
+class Housekeeper:
+    """The service's own: runs both every `housekeeping_s` in a thread beside the event loop."""
+
+    def __init__(self, store: Store, config: ServiceConfig, metrics: ServiceMetrics) -> None:
+        self._store, self._config, self._metrics = store, config, metrics
+        self._catalog = Catalog(store)
+        self._retention = Retention(store, config.retention)
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        while True:
+            await asyncio.to_thread(self.look)
+            await asyncio.sleep(self._config.housekeeping_s)
+
+    def look(self) -> None:
+        try:
+            for removed in self._retention.run(time.time()):
+                self._metrics.retention.inc()
+                self._metrics.retention_bytes.inc(removed.bytes)
+            self._measure()
+        except StoreError as error:
+            _log.warning("housekeeping failed", extra={"fields": {"detail": str(error)}})
+
+    def _measure(self) -> None:
+        """By site only for those that the configuration names: labels are bounded."""
+        named = {*self._config.quota.sites, *self._config.retention.sites}
+        by_site = dict.fromkeys([*named, OTHER], 0)
+        for site, size in self._catalog.bytes_by_site().items():
+            by_site[site if site in named else OTHER] += size
+        for site, size in by_site.items():
+            self._metrics.store_bytes.labels(site).set(size)
+        self._metrics.database_bytes.set(self._store.size_bytes())

@@ -1,0 +1,77 @@
+"""Finished sessions are deleted when they are old enough, each once, whoever does it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import update
+
+from map_service import schema
+from map_service.catalog import Catalog
+from map_service.config import RetentionConfig
+from map_service.housekeeping import DAY_S, Retention
+from map_service.store import Store
+from tests.map_service.entries import OPENING, entry
+
+NOW_S = 1_800_000_000.0
+
+
+def finished(store: Store, name: str, days_ago: float | None, site: str = "site") -> None:
+    opened = store.open_session(replace(OPENING, session_id=name, site_id=site))
+    store.commit(opened.key, 1, entry(0, 3, keyframes=(0,), holes=[(2, 0)], finished=True))
+    with store.writing() as connection:
+        when_s = None if days_ago is None else NOW_S - days_ago * DAY_S
+        connection.execute(update(schema.sessions).where(schema.sessions.c.id == opened.key).values(finished_s=when_s))
+
+
+def left(store: Store) -> list[str]:
+    return [row.session_id for row in Catalog(store).sessions()]
+
+
+def test_what_is_older_than_its_site_keeps_it_is_deleted_and_reported(store: Store) -> None:
+    finished(store, "new", 9.9)
+    finished(store, "old", 10.1)
+    finished(store, "short/kept", 0.9, "short")
+    finished(store, "short/gone", 1.1, "short")
+    finished(store, "archive", 1000, "for ever")
+    store.open_session(replace(OPENING, session_id="running"))
+    retention = Retention(store, RetentionConfig(finished_days=10, sites={"short": 1, "for ever": 0}))
+    removed = retention.run(NOW_S)
+    assert [(r.session_id, r.site_id, r.frames, r.keyframes) for r in removed] == [
+        ("old", "site", 3, 1),
+        ("short/gone", "short", 3, 1),
+    ]
+    assert removed[0].bytes > 0
+    assert left(store) == ["new", "short/kept", "archive", "running"]
+    with store.reading() as connection:
+        for table in schema.SESSION_TABLES:
+            assert len({row.session for row in connection.execute(table.select())}) == 3
+
+
+def test_a_session_of_which_nobody_noted_the_end_counts_from_when_it_is_seen(store: Store) -> None:
+    finished(store, "unknown", None)
+    retention = Retention(store, RetentionConfig(finished_days=10))
+    assert retention.run(NOW_S) == []
+    assert retention.run(NOW_S + 9 * DAY_S) == []
+    assert len(retention.run(NOW_S + 11 * DAY_S)) == 1
+
+
+def test_replicas_delete_each_session_once(url: str) -> None:
+    stores = [Store(url) for _ in range(4)]
+    for i in range(12):
+        finished(stores[0], f"r/{i}", 20)
+    with ThreadPoolExecutor(4) as threads:
+        runs = list(threads.map(lambda s: Retention(s, RetentionConfig(finished_days=10)).run(NOW_S), stores))
+    assert sorted(r.session_id for run in runs for r in run) == sorted(f"r/{i}" for i in range(12))
+    assert left(stores[0]) == []
+    for store in stores:
+        store.close()
+
+
+@pytest.mark.parametrize("config", [RetentionConfig(), RetentionConfig(sites={"site": 0})])
+def test_without_a_rule_nothing_is_ever_deleted(store: Store, config: RetentionConfig) -> None:
+    finished(store, "ancient", 10_000)
+    assert Retention(store, config).run(NOW_S) == []
+    assert left(store) == ["ancient"]
