@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +25,8 @@ from benchmarks.drives import DRIVES, Case, Files, prepare
 from benchmarks.rate_picture import draw, table
 from benchmarks.wires import LioSamZstd, Ours, ThinnedDraco, Wire
 from edge_agent.settings import FeatureSettings
-from splitslam.bench.lockstep import lockstep
+from splitslam.bench.in_one_process import TimedEvent, run_both
+from splitslam.scan import Scan
 from splitslam.tum import read_tum
 
 DEFAULT_DRIVES = "yard1,campus"
@@ -100,26 +101,38 @@ def _compute(case: Case, wanted: list[tuple[str, str]], store: Store, max_scans:
 
 def one(files: Files, wire: Wire, disable: tuple[str, ...] = (), max_scans: int | None = None) -> Cell:
     """One recording over one wire: rate, features a scan, scans without a pose, errors of the trajectory."""
-    mapped = lockstep(
+    mapped = run_both(
         files.bag,
         files.robot,
-        wire,
+        wire=wire,
+        harm=lambda events: thinned(events, wire.every),
         max_scans=max_scans,
         disable=tuple(dict.fromkeys((*disable, "gnss"))),
         edge_settings=wire.settings,
         max_kbps=wire.max_kbps,
         deskew_again=wire.deskew_again,
-        every=wire.every,
     )
-    score = scoring.score(mapped.trajectory, read_tum(files.truth), mapped.trajectory.stamps_ns, search=False)
+    trajectory = mapped.final()
+    score = scoring.score(trajectory, read_tum(files.truth), trajectory.stamps_ns, search=False)
     scans = mapped.counts.scans_read // wire.every
-    missing = scans - len(mapped.trajectory)
+    missing = scans - len(trajectory)
     return {
         "kbps": wire.sent.bytes * 8e-3 / mapped.recording_s,
         "points_per_scan": wire.sent.points / max(1, wire.sent.frames),
         "missing": missing,
         "score": {**score.as_dict(), "failed": score.failed or missing > scoring.MISSING_RATIO * scans},
     }
+
+
+def thinned(events: Iterator[TimedEvent], every: int) -> Iterator[TimedEvent]:
+    """Without the scans between each `every`th."""
+    scans = 0
+    for at_ns, event in events:
+        if isinstance(event, Scan):
+            scans += 1
+            if scans % every:
+                continue
+        yield at_ns, event
 
 
 def cell_name(system: str, level: str) -> str:

@@ -16,8 +16,8 @@ from edge_agent.features.integer import FeatureMarks
 from edge_agent.rate import RateSettings
 from edge_agent.settings import DenseSettings, FeatureSettings, PipelineSettings
 from splitslam import codec
+from splitslam.bench.in_one_process import Seen
 from splitslam.bench.lio_sam import LioSamFeatures
-from splitslam.bench.lockstep import Seen
 from splitslam.features import FeatureFrame, FeatureSet
 
 # What the uplink puts around each frame (envelope, gRPC, HTTP/2): what our rate control reckons with.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import Any
 
 from edge_agent.check import LiveCheck
@@ -16,6 +18,7 @@ from edge_agent.going_on import StartAfter, UnseenMotion
 from edge_agent.imu import make_imu_node
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.odometry.outage import Outages
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.reader import EventQueue, Reader, TimedEvent
@@ -85,7 +88,10 @@ class _Run:
         node = self._pipeline.image_node
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
-        warm_up(robot, config.pipeline, config.imu, beams)
+        warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
+        clock_ns = time.monotonic_ns if source.realtime else None
+        self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
+        metrics.outages_from(self._outages.report)
         hello = self._hello(robot)
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
@@ -149,7 +155,8 @@ class _Run:
             raise
 
     def _run(self, stop: threading.Event) -> None:
-        if not self._store.says_how_far and self._uplink.wait_welcome() is None:
+        patient = self._store.run.continued or self._config.uplink.connect_timeout_s is None
+        if not (patient and self._store.says_how_far) and self._uplink.wait_welcome() is None:
             return
         loop = self._loop()
         self._progress.start(self._recording.scan_count)
@@ -183,7 +190,16 @@ class _Run:
         """A continued run goes on after the last scan that is on disk or that the service has, whichever is newer."""
         if self._store.run.continued:
             self._go_on()
-        parts = Parts(self._sequencer, self._imu, self._pipeline, self._uplink, self._sink, self._metrics, self._check)
+        parts = Parts(
+            sequencer=self._sequencer,
+            imu=self._imu,
+            pipeline=self._pipeline,
+            uplink=self._uplink,
+            sink=self._sink,
+            metrics=self._metrics,
+            check=self._check,
+            outages=self._outages,
+        )
         return AgentLoop(parts, not self._config.source.realtime, self._after.seq + 1)
 
     def _go_on(self) -> None:
@@ -231,6 +247,7 @@ class _Run:
             **tally.link(self._uplink.tcp_bytes(), recording_s, counts, self._pipeline.rate),
             "jumps": jumps,
             "wheels": self._imu.wheels_report,
+            "outages": {**asdict(self._outages.report()), "odometry_ms": self._metrics.odometry.summary_ms()},
             "imu_resets": self._imu.resets,
             "deskew": {"back_end": self._pipeline.image_node.name, "troubles": dict(self._pipeline.image_node.counts)},
             "dropped_by_reason": self._metrics.all_dropped(),

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from edge_agent.dense import DensePolicy
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.odometry.outage import Correction, Outages
 from edge_agent.rate import RateControl
 from edge_agent.reader import TimedEvent
 from edge_agent.sources import Event
+from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
@@ -81,6 +83,7 @@ class Sink(Protocol):
     def on_scan_begun(self) -> None: ...
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: NDArray[np.float64]) -> pb.Frame: ...
     def on_answer(self, answer: Answer) -> None: ...
+    def on_correction(self, correction: Correction) -> None: ...
     def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None: ...
 
 
@@ -93,7 +96,7 @@ class Check(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What the loop drives. check: looks on."""
+    """What the loop drives. check: looks on. outages: None: without answers there is only the Imu node."""
 
     sequencer: Sequencer
     imu: Imu
@@ -102,6 +105,7 @@ class Parts:
     sink: Sink
     metrics: EdgeMetrics
     check: Check | None = None
+    outages: Outages | None = None
 
 
 class AgentLoop:
@@ -189,6 +193,22 @@ class AgentLoop:
             return
         parts.metrics.stages(frame.stage_cpu_ms, frame.stage_wall_ms)
         parts.uplink.send(parts.sink.on_frame(frame, parts.imu.T_odom_lidar_at(frame.stamp_ns)))
+        self._place(frame)
+
+    def _place(self, frame: EncodedFrame) -> None:
+        """While no answers come, the edge's own odometry takes the service's place."""
+        outages = self._parts.outages
+        if outages is None or frame.features is None:
+            return
+        clock = StageClock()
+        replies = outages.on_frame(frame.features)
+        if not replies:
+            return
+        clock.lap("odometry")
+        self._parts.metrics.odometry.observe_s(clock.cpu_ms["odometry"] * 1e-3)
+        for reply in replies:
+            self._parts.imu.on_odometry(reply)
+        self._parts.metrics.state.set(self._state())
 
     def _apply_answers(self, up_to_seq: int | None) -> None:
         """Hands answers to the Imu node in seq order; later ones than `up_to_seq` are held back."""
@@ -202,12 +222,21 @@ class AgentLoop:
                 parts.metrics.drop(f"rejected_{answer.reply.rejected}")
             own = answer.reply.seq >= self._first_seq
             if own:  # the node has not seen the scans of an agent before
-                parts.imu.on_odometry(answer.reply)
+                parts.imu.on_odometry(self._in_one_frame(answer.reply))
                 self._answered_ns = answer.reply.stamp_ns
             parts.sink.on_answer(answer)
             if own and parts.check is not None:
                 parts.check.on_answer(answer)
         parts.metrics.state.set(self._state())
+
+    def _in_one_frame(self, reply: OdometryReply) -> OdometryReply:
+        """After an outage `odom` goes on from where the robot was: the difference is `map`'s."""
+        if self._parts.outages is None:
+            return reply
+        steady, correction = self._parts.outages.on_answer(reply)
+        if correction is not None:
+            self._parts.sink.on_correction(correction)
+        return steady
 
     def _state(self) -> int:
         silent = self._answered_ns is not None and self._now_ns - self._answered_ns > _SILENT_NS

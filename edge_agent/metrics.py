@@ -18,6 +18,8 @@ from splitslam.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from edge_agent.odometry.outage import OutageReport
+
 _BUCKETS_S = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.256, 0.512, 1.024, 4.096)
 
 
@@ -89,6 +91,25 @@ class _BackEnd(Collector):
         yield troubles
 
 
+class _Outages(Collector):
+    """What the edge's own odometry does, as edge_agent.odometry.outage counts it."""
+
+    def __init__(self, report: Callable[[], OutageReport]) -> None:
+        self._report = report
+
+    def collect(self) -> Iterator[CounterMetricFamily | GaugeMetricFamily]:
+        report = self._report()
+        text = "Scans placed by the edge's own odometry, by how that went"
+        scans = CounterMetricFamily("splitslam_edge_odometry_scans", text, labels=["result"])
+        for result, count in report.scans.items():
+            scans.add_metric([result], count)
+        yield scans
+        yield CounterMetricFamily("splitslam_edge_outages", "Times without answers of the map service", report.count)
+        yield CounterMetricFamily("splitslam_edge_outage_seconds", "How long they were", report.seconds)
+        text = "1 while the edge goes by its own odometry"
+        yield GaugeMetricFamily("splitslam_edge_alone", text, float(report.alone))
+
+
 class EdgeMetrics:
     """Every metric of the agent, in a registry of its own (several agents may live in one process)."""
 
@@ -100,6 +121,7 @@ class EdgeMetrics:
         self.stage_cpu: dict[str, Series] = {}
         self.stage_wall: dict[str, Series] = {}
         self.round_trip = Series(self._histogram("round_trip_seconds", "Frame handed over to answer received"), keep)
+        self.odometry = Series(self._histogram("odometry_seconds", "Thread CPU time of the edge's odometry"), keep)
         self._uplink = self._counter("uplink_bytes", "Serialized messages sent, by kind", ["kind"])
         self.dropped: Tally[str] = Tally()
         self._drops = self._counts("dropped", "What was dropped, by reason", "reason")
@@ -171,6 +193,10 @@ class EdgeMetrics:
     def deskew_from(self, back_end: str, counts: Tally[str]) -> None:
         """Shows the deskew back end in force and its Image node's own counts."""
         self.registry.register(_BackEnd(back_end, counts))
+
+    def outages_from(self, report: Callable[[], OutageReport]) -> None:
+        """Shows what the edge's own odometry does."""
+        self.registry.register(_Outages(report))
 
     def tcp_bytes_from(self, sent: Callable[[], float], received: Callable[[], float]) -> None:
         """Shows the kernel's byte counts at scrape time."""

@@ -95,6 +95,7 @@ class EdgePipeline:
             stage_wall_ms=clock.wall_ms,
             corners=len(corners),
             surfs=len(surfs),
+            features=frame,
         )
 
     def _check(self, scan: Scan) -> None:

@@ -44,8 +44,10 @@ class RunStore:
 
     @property
     def says_how_far(self) -> bool:
-        """Whether the agent before made no frame after `spooled`; else only the service knows how far the run came."""
-        return self.run.spooled and self.spool is not None and self.spool.recovered.says_how_far
+        """Whether no frame was made after `spooled`; else only the service knows how far the run has come."""
+        if self.spool is None or not self.run.continued:
+            return self.spool is not None
+        return self.run.spooled and self.spool.recovered.says_how_far
 
     @property
     def sends_leftovers(self) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge_agent.feed import PoseFeed
 from edge_agent.loop import Imu
+from edge_agent.odometry.outage import Correction
 from edge_agent.outputs import Outputs
 from edge_agent.tally import Tally
 from edge_agent.types import EncodedFrame, OdomPoses
@@ -84,6 +85,10 @@ class AgentSink:
         if self.outputs is not None and not reply.rejected:
             self.outputs.online(reply)
         self.progress.scan(self.read, self.tally.mapped)
+
+    def on_correction(self, correction: Correction) -> None:
+        """`map` moved under the robot, as the map service is back; cause `outage`."""
+        self.tally.correction(correction.translation_m)
 
     def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None:
         """New IMU-rate poses."""

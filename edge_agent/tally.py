@@ -71,8 +71,12 @@ class Tally:
             return
         self.mapped += 1
         if answer.correction_m is not None:
-            self.corrections += 1
-            self.correction_max_m = max(self.correction_max_m, answer.correction_m)
+            self.correction(answer.correction_m)
+
+    def correction(self, size_m: float) -> None:
+        """T_map_odom has jumped, for a stated cause."""
+        self.corrections += 1
+        self.correction_max_m = max(self.correction_max_m, size_m)
 
     def times(self) -> dict[str, Any]:
         """wall_s and cpu_ms_per_scan: first scan handed over to last answer, start-up excluded."""

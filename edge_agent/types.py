@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from splitslam.features import Motion
+from splitslam.features import FeatureFrame, Motion
 from splitslam.scan import GnssFix
 
 
@@ -50,6 +50,7 @@ class EncodedFrame:
 
     payload: splitslam.codec's bytes. stage_cpu_ms, stage_wall_ms: thread CPU and wall time by stage: deskew (projection
     included: the paper's Algorithm 1), motion (Imu node), features, encode, total. corners, surfs: points in it.
+    features: what was encoded, for the edge's own odometry.
     """
 
     seq: int
@@ -61,6 +62,7 @@ class EncodedFrame:
     stage_wall_ms: dict[str, float]
     corners: int = 0
     surfs: int = 0
+    features: FeatureFrame | None = None
 
 
 class MotionSource(Protocol):

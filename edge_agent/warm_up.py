@@ -5,14 +5,20 @@ Without it a cold compile cache costs seconds, and a run by the clock would begi
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.imu import make_imu_node
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.odometry.ring import Ring
+from edge_agent.odometry.scan_matching import Outcome, Placement, ScanMatching
+from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
 from edge_agent.types import OdometryReply
+from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
 from splitslam.scan import ImuSamples, Scan, ScanPacket, WheelSamples
 
@@ -22,7 +28,11 @@ _IMU_NS = 5_000_000
 
 
 def warm_up(
-    robot: Robot, pipeline: PipelineSettings, imu: ImuSettings, beam_elevations_rad: NDArray[np.float32]
+    robot: Robot,
+    pipeline: PipelineSettings,
+    imu: ImuSettings,
+    beam_elevations_rad: NDArray[np.float32],
+    odometry: OdometrySettings | None = None,
 ) -> None:
     """Runs every kernel of the edge once with the types of a real run; leaves no trace.
 
@@ -40,9 +50,22 @@ def warm_up(
             node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))
         pose = node.T_odom_lidar_at(frame.stamp_ns)
-        node.on_odometry(
-            OdometryReply(frame.seq, frame.stamp_ns, pose, np.eye(4), np.eye(6) * 1e-4, 2, np.zeros((0, 6)))
-        )
+        reply = OdometryReply(frame.seq, frame.stamp_ns, pose, np.eye(4), np.eye(6) * 1e-4, 2, np.zeros((0, 6)))
+        node.on_odometry(reply)
+        if odometry is not None and frame.features is not None:
+            _match(odometry, frame.features, reply)
+
+
+def _match(settings: OdometrySettings, frame: FeatureFrame, reply: OdometryReply) -> None:
+    """The scan against itself, out of a ring that it overflows."""
+    ring = Ring(2, 0, settings.keyframe_points)
+    for _ in range(2):
+        ring.add(frame, reply.T_map_lidar, reply.covariance)
+    matching = ScanMatching(settings, ring, redeskew=True, room=1)
+    at = Placement(frame.seq, 0, reply.T_map_lidar, reply.covariance, reply.degenerate_axes, Outcome.PLACED)
+    matching.start(at)
+    matching.place(replace(frame, dense=True, stamp_ns=frame.stamp_ns + 1))
+    matching.stop()
 
 
 def _still(start_ns: int, robot: Robot) -> ImuSamples:

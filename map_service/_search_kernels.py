@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from map_service._kernels import FASTMATH, PLANE, pack, slot_of
+from splitslam.registration._kernels import FASTMATH, PLANE, pack, slot_of
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

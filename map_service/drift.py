@@ -13,40 +13,34 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from splitslam import se3
+from splitslam.registration.doubt import Slip, carried_over
 
 Array = NDArray[np.float64]
 
 
 class MapDrift:
-    """keyframes: covariance (6, 6) of the map at each keyframe, right tangent of its pose, rotation first.
-
-    slip: (6, 6), right tangent of the robot's pose, along what has not been observed since when.
-    """
+    """keyframes: covariance (6, 6) of the map at each keyframe, right tangent of its pose, rotation first."""
 
     def __init__(self, keyframes: list[Array]) -> None:
         self.keyframes = keyframes
-        self.slip = np.zeros((6, 6))
+        self._slip = Slip()
+
+    @property
+    def slip(self) -> Array:
+        """(6, 6), right tangent of the robot's pose, along what has not been observed since when."""
+        return self._slip.covariance
+
+    @slip.setter
+    def slip(self, covariance: Array) -> None:
+        self._slip.covariance = covariance
 
     def follow(self, T_prev_lidar: Array, unobserved: Array, motion_covariance: Array) -> None:
         """The next scan: its motion (4, 4) with the prediction's covariance (6, 6), and its unobserved axes (A, 6)."""
-        carry = se3.adjoint(se3.inv(T_prev_lidar))
-        before = carry @ self.slip @ carry.T
-        self.slip = np.zeros((6, 6))
-        for axis in unobserved:
-            sigma = np.sqrt(axis @ before @ axis) + np.sqrt(axis @ motion_covariance @ axis)
-            self.slip += sigma**2 * np.outer(axis, axis)
+        self._slip.follow(T_prev_lidar, unobserved, motion_covariance)
 
     def at(self, T_local_lidar: Array, keyframes: NDArray[np.int64], T_local_keyframe: Callable[[int], Array]) -> Array:
-        """(6, 6) of the map around T_local_lidar, for a scan matched with what `keyframes` (Q,) saw first.
-
-        The map near the robot is off like a rigid body: each keyframe's error is carried over to the robot's pose.
-        """
+        """(6, 6) of the map around T_local_lidar, for a scan matched with what `keyframes` (Q,) saw first."""
         if not len(keyframes):
             keyframes = np.array([len(self.keyframes) - 1])
-        back = se3.inv(T_local_lidar)
-        total = np.zeros((6, 6))
-        for i in keyframes.tolist():
-            carry = se3.adjoint(back @ T_local_keyframe(i))
-            total += carry @ self.keyframes[i] @ carry.T
-        return total / len(keyframes) + self.slip
+        seen_by = ((T_local_keyframe(i), self.keyframes[i]) for i in keyframes.tolist())
+        return carried_over(T_local_lidar, seen_by) + self.slip

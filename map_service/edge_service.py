@@ -18,6 +18,7 @@ from map_service.streams import End, RobotStream
 from map_service.workers import WorkerPool, WorkerProcess
 from splitslam.wire import session_pb2 as pb
 
+_REASSURE_S = 0.15
 OVERLOADED_RETRY_MS = 50  # the robot goes to another replica at once, and spreads its tries from then on
 
 _log = logging.getLogger(__name__)
@@ -55,8 +56,8 @@ class EdgeFront:
         self._metrics.streams.set(self._open)
         try:
             worker, stream = await self._pool.open(session_id, hello.SerializeToString())
-            stream.credit(0)  # a sign of life before Welcome: a long session takes a while to be built again
             reader = asyncio.create_task(self._read(requests, worker, stream))
+            reassuring = asyncio.create_task(self._reassure(worker, stream))
             try:
                 while not isinstance(item := await stream.outbox.get(), End):
                     yield item
@@ -64,6 +65,7 @@ class EdgeFront:
                     await context.abort(item.status, item.detail)
             finally:
                 reader.cancel()
+                reassuring.cancel()
                 stream.end()
                 await self._pool.close(worker, stream)
         finally:
@@ -97,6 +99,12 @@ class EdgeFront:
         reason = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
         self._metrics.refused.labels(reason).inc()
         _log.warning("refused", extra={"fields": {"reason": reason, "detail": refused.detail}})
+
+    async def _reassure(self, worker: WorkerProcess, stream: RobotStream) -> None:
+        """Signs of life before Welcome: a long session takes a while to be built again, a robot leaves after 0.5 s."""
+        while not stream.opened and worker.lively:
+            stream.credit(0)
+            await asyncio.sleep(_REASSURE_S)
 
     async def _read(self, requests: AsyncIterator[bytes], worker: WorkerProcess, stream: RobotStream) -> None:
         """Robot to worker, no faster than frames are answered. A robot that has said all it will stays connected."""

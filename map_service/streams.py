@@ -29,6 +29,7 @@ class RobotStream:
         self.number, self.session_id, self.window = number, session_id, window
         self.outbox: asyncio.Queue[bytes | End] = asyncio.Queue()
         self.durable_seq = 0
+        self.opened = False  # the worker has said something
         self.answered = False
         self.ended = False
         self._leaving: pb.Drain | None = None
@@ -84,8 +85,8 @@ class RobotStream:
 
     def handed(self, durable_seq: int) -> None:
         """It may go: all that was answered is durable. A robot whose session moves is let go at once."""
-        self.credit(durable_seq)
         self.tell()
+        self.credit(durable_seq)
         if self._leaving is not None and self._leaving.reason == pb.DRAIN_REASON_REBALANCE:
             self.end()
 

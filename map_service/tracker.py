@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service.doubt import Doubt, Verdict
-from map_service.local_map import LocalMap
-from map_service.registration import Prediction, Registration, RegistrationResult, deskew_again
 from map_service.settings import TrackerSettings
 from map_service.types import State
 from map_service.wide_search import Fit, Place, WideSearch
 from splitslam import se3
 from splitslam.features import FeatureFrame, FeatureSet
+from splitslam.registration.align import Prediction, Registration, RegistrationResult, deskew_again
+from splitslam.registration.local_map import LocalMap
 
 Array = NDArray[np.float64]
 NO_IMU_SIGMA_RAD = 0.4  # an edge without an IMU says it does not know where down is

@@ -6,13 +6,13 @@ import numpy as np
 
 from map_service.engine import SlamEngine
 from map_service.hello import SessionRequest
-from map_service.local_map import LocalMap
-from map_service.registration import Registration
 from map_service.settings import TrackerSettings
 from map_service.store import Opening
 from map_service.wide_search import WideSearch
 from splitslam import codec
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
+from splitslam.registration.align import Registration
+from splitslam.registration.local_map import LocalMap
 from splitslam.robot import Robot
 from splitslam.wire import session_pb2 as pb
 

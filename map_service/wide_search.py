@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service import _search_kernels as kernels
-from map_service.local_map import LocalMap
-from map_service.registration import Prediction, Registration, RegistrationResult
 from map_service.settings import WideSearchSettings
 from splitslam import se3
 from splitslam.features import FeatureFrame
+from splitslam.registration.align import Prediction, Registration, RegistrationResult
+from splitslam.registration.local_map import LocalMap
 
 Array = NDArray[np.float64]
 

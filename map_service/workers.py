@@ -35,6 +35,7 @@ from splitslam.wire import session_pb2 as pb
 
 _RESTART_CAP_S = 5.0
 _WATCH_S = 0.5
+_LIVELY_S = 1.5
 _HAND_OVER_S = 0.2  # a drained session waits no longer than this for its commit before the robot is sent on
 
 _log = logging.getLogger(__name__)
@@ -91,7 +92,7 @@ class WorkerProcess:
                 self.beat_s = time.monotonic()
                 self._metrics.absorb(self.index, message)
                 self._metrics.queue_depth.labels(str(self.index)).set(self.unanswered)
-                self._credit(dict.fromkeys(self.streams, 0) | message.durable)  # 0: still being opened
+                self._credit(message.durable)
                 self.pinned.difference_update(message.released)
                 if message.busy_s > self._config.limits.stall_s:
                     self.kill(f"busy with one job for {message.busy_s:.0f} s")
@@ -110,6 +111,7 @@ class WorkerProcess:
         stream = self.streams.get(message.stream)
         if stream is None:
             return
+        stream.opened = True
         if message.answer:
             if (seconds := stream.put_answer(message.body)) is not None:
                 self._metrics.answer_seconds.observe(seconds)
@@ -122,6 +124,11 @@ class WorkerProcess:
         for number, durable_seq in durable.items():
             if stream := self.streams.get(number):
                 stream.credit(durable_seq)
+
+    @property
+    def lively(self) -> bool:
+        """It has given a sign of life lately, however long its present job takes."""
+        return time.monotonic() - self.beat_s < _LIVELY_S
 
     @property
     def unanswered(self) -> int:

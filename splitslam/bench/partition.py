@@ -18,7 +18,7 @@ from edge_agent.settings import PipelineSettings
 from edge_agent.stage_clock import StageClock
 from edge_agent.tally import RAW_IMU_BYTES
 from splitslam.bench import laz, lio_sam
-from splitslam.bench.lockstep import Mapped, Seen, lockstep
+from splitslam.bench.in_one_process import Outcome, Seen, run_both
 from splitslam.bench.options import PartitionOptions
 from splitslam.bench.partition_plot import draw
 from splitslam.bench.partition_result import Case, Partition, as_dict
@@ -52,10 +52,10 @@ def _measure(run: RunOptions, progress: Progress) -> Partition:
     probe = _Probe(lambda done: progress.scan(done, done))
     # programmable logic would hand over no ranges; its times are not this processor's
     settings = PipelineSettings(deskew="cpu")
-    mapped = lockstep(
+    mapped = run_both(
         run.recording,
         run.robot,
-        probe,
+        wire=probe,
         max_scans=run.max_scans,
         disable=run.disable,
         edge_settings=settings,
@@ -122,7 +122,7 @@ class _Probe:
             self.times_ms.setdefault(name, []).append(time_ms)
         self.on_scan(len(self.sizes["points"]))
 
-    def result(self, name: str, uplink: dict[str, Any], mapped: Mapped) -> Partition:
+    def result(self, name: str, uplink: dict[str, Any], mapped: Outcome) -> Partition:
         """uplink: of the run's report.json, and its recording_s."""
         scans, size = len(self.sizes["points"]), {key: fmean(values) for key, values in self.sizes.items()}
         # the first scan finds cold caches and kernels that are still being read

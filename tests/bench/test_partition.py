@@ -13,10 +13,11 @@ import pytest
 from edge_agent.sources import open_recording
 from edge_agent.tally import RAW_IMU_BYTES, RAW_POINT_BYTES
 from splitslam.bench import laz
-from splitslam.bench.lockstep import Seen, lockstep
+from splitslam.bench.in_one_process import Seen, run_both
 from splitslam.robot import load_robot
+from splitslam.tum import read_tum
 from tests.conftest import ROOT
-from tests.e2e.replay import replay
+from tests.e2e.commands import run
 
 SCANS = 12
 
@@ -78,7 +79,7 @@ def test_our_bytes_are_more_than_the_payload_and_less_than_twice_it(shared_data:
         payload.append(len(seen.frame.payload))
         return seen.decoded()
 
-    lockstep(path, path.with_suffix(".yaml"), wire, max_scans=SCANS)
+    run_both(path, path.with_suffix(".yaml"), wire=wire, max_scans=SCANS)
     exit_code, text, errors = bench(
         path, "--robot", path.with_suffix(".yaml"), "--max-scans", SCANS, "--out", tmp_path, "--json"
     )
@@ -87,12 +88,12 @@ def test_our_bytes_are_more_than_the_payload_and_less_than_twice_it(shared_data:
     assert np.mean(payload) < ours < 2 * np.mean(payload)
 
 
-def test_the_second_pass_maps_as_the_programs_do(shared_data: Path):
+def test_one_process_maps_as_the_programs_do(shared_data: Path, tmp_path: Path):
     path = shared_data / "yard1/yard1.bag"
-    mapped = lockstep(path, path.with_suffix(".yaml"), Seen.decoded, max_scans=SCANS)
-    expected = replay(path, max_scans=SCANS)
-    poses = np.array([T for _, _, T in expected.pipeline.trajectory()])  # type: ignore[union-attr]
-    assert np.array_equal(mapped.trajectory.positions_m, poses[:, :3, 3])
+    mapped = run_both(path, path.with_suffix(".yaml"), max_scans=SCANS)
+    programs = run(tmp_path / "run", path, "--max-scans", str(SCANS), "--disable", "loops")
+    expected = read_tum(programs.out / "trajectory.tum")
+    np.testing.assert_allclose(mapped.final().positions_m, expected.positions_m, atol=1e-8)  # a file has 9 decimals
     assert mapped.counts.scans_read == SCANS
 
 

@@ -14,8 +14,8 @@ import pytest
 from benchmarks import rate_distortion, wires
 from benchmarks.drives import DRIVES, Case, Files
 from benchmarks.rate_picture import draw, table
+from splitslam.bench.in_one_process import Seen
 from splitslam.bench.lio_sam import LioSamFeatures
-from splitslam.bench.lockstep import Seen
 from splitslam.scan import ScanPacket
 from tests.conftest import ROOT
 from tests.features.made_scan import KnownMotion, made_scan, make_pipeline

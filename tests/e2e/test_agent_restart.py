@@ -23,7 +23,7 @@ from tests import tolerances as bars
 from tests.e2e.test_restart import kill, start_service
 from tests.edge_agent.relay import CountingRelay
 
-SCANS = 170
+SCANS = 120
 
 
 def agent(folder: Path, recording: Path, server: str, out: str) -> subprocess.Popen[str]:

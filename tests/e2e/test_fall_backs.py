@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_agent.sources.time_map import shifted
 from map_service.types import State
 from splitslam import se3
 from splitslam.alignment import interpolate
@@ -60,6 +61,21 @@ def half_blocked(events: Iterator[TimedEvent]) -> Iterator[TimedEvent]:
             }
             event = replace(event, **columns)
         yield arrival_ns, event
+
+
+def with_other_clocks(events: Iterator[TimedEvent]) -> Iterator[TimedEvent]:
+    """After 7 s somebody sets the wall clock back by an hour; from 10 s to 12 s the LiDAR is unplugged, and when it is
+    back its driver counts from another zero."""
+    start_ns = None
+    for arrival_ns, event in events:
+        start_ns = arrival_ns if start_ns is None else start_ns
+        after_s = (arrival_ns - start_ns) * 1e-9
+        by_ns = -3600 * 10**9 if after_s >= 7.0 else 0
+        if isinstance(event, Scan):
+            if 10.0 <= after_s < 12.0:
+                continue
+            by_ns -= 10**17 if after_s >= 12.0 else 0
+        yield arrival_ns, shifted(event, by_ns)
 
 
 def check(result: Replayed, recording: Path, ate_m: float, step_m: float, mapped: int = SCANS) -> None:
@@ -132,3 +148,10 @@ def test_a_fifth_of_the_scans_lost_is_bridged_by_the_imu(yard1):
 
 def test_half_the_field_of_view_is_enough(yard1):
     check(replay(yard1, half_blocked, max_scans=SCANS), yard1, bars.HARMED_ATE_M, bars.IMU_STEP_M)
+
+
+def test_clocks_that_step_and_a_lidar_that_comes_back_are_not_felt(yard1):
+    result = replay(yard1, with_other_clocks, max_scans=SCANS)
+    check(result, yard1, bars.HARMED_ATE_M, bars.NO_IMU_STEP_M, mapped=len(result.stamps_ns))
+    assert len(result.stamps_ns) == pytest.approx(SCANS - 20, abs=1)
+    assert result.outcome.sequencer.times.steps == {"lidar": 2, "imu": 1, "gnss": 1}

@@ -94,6 +94,33 @@ def test_an_unreachable_server_leaves_nothing_behind(shared_data: Path, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+def test_a_robot_that_starts_out_of_reach_maps_its_first_scans_when_the_service_is_there(
+    shared_data: Path, tmp_path: Path
+):
+    service = standing_service()
+    with service:
+        pass  # take a port and free it again
+    values = settings(shared_data, service.address, tmp_path / "out", realtime=True)
+    values |= {"state_dir": str(tmp_path / "state")}
+
+    def begin_late() -> None:
+        deadline_s = time.monotonic() + 20.0
+        while not any(file.stat().st_size for file in tmp_path.glob("state/spool/*/*.seg")):
+            if time.monotonic() > deadline_s:
+                return  # the run will never end without the service: the report below says so
+            time.sleep(0.01)
+        service.start()
+
+    begun = threading.Thread(target=begin_late)
+    begun.start()
+    report = run(values | {"uplink": {"connect_timeout_s": None, "reconnect_timeout_s": 30.0}})
+    service.stop()
+    begun.join()
+    assert report["scans"] == {"read": SCANS, "sent": SCANS, "mapped": SCANS, "dropped": 0}
+    assert service.holes == []
+    assert service.finished
+
+
 def agent(values: dict[str, Any], folder: Path) -> subprocess.Popen[str]:
     (folder / "agent.yaml").write_text(json.dumps(values))
     command = [sys.executable, "-m", "edge_agent", "run", "--config", str(folder / "agent.yaml")]

@@ -12,7 +12,7 @@ from edge_agent import run_id
 from edge_agent.config import AgentConfig, UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.run_store import RunStore
-from edge_agent.uplink import Uplink
+from edge_agent.uplink import SessionOverError, Uplink
 from splitslam.config import validate
 from splitslam.errors import InputError
 from splitslam.wire import session_pb2 as pb
@@ -196,6 +196,25 @@ def test_a_run_whose_last_word_was_bye_is_complete_when_the_service_calls_it_fin
         assert second.store.leftovers.errors == {}
         second.die()
     assert spool_folders(tmp_path) == [second.store.run.value]
+
+
+def test_when_the_live_session_is_over_its_frames_are_set_aside_and_the_next_start_is_a_new_run(tmp_path: Path):
+    with FakeService(finished=True) as service:
+        first = Agent(tmp_path, service.address)
+        first.make(1, 4)
+        first.connect()
+        with pytest.raises(SessionOverError, match="finished"):
+            first.uplink.wait_welcome()
+        first.store.over()
+        first.die()
+    assert first.store.spool is not None
+    assert first.store.spool.errors == {"refused": 4}
+    assert len(list((tmp_path / "spool" / "refused" / first.store.run.value).glob("*.seg"))) == 1
+    second = Agent(tmp_path)
+    assert not second.store.run.continued
+    assert second.store.leftovers is not None
+    assert second.store.leftovers._runs == []
+    second.die()
 
 
 def test_what_the_service_may_take_another_day_stays(tmp_path: Path, clock: dict[str, float]):

@@ -11,13 +11,13 @@ import numpy as np
 
 from map_service.loops import LoopJob, LoopResult
 from map_service.pipeline import MapPipeline
-from map_service.registration import RegistrationResult
 from map_service.settings import PipelineSettings, TrackerSettings
 from map_service.tracker import Track, Tracker, TrackerState
 from map_service.types import CorrectionRecord, Snapshot, State
 from splitslam import se3
 from splitslam.alignment import umeyama
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
+from splitslam.registration.align import RegistrationResult
 from splitslam.robot import Gnss, Robot
 from splitslam.scan import GnssFix
 from splitslam.sim.gnss import enu_to_wgs84

@@ -10,12 +10,12 @@ import numpy as np
 
 from map_service.loops import LoopJob, LoopResult, verify
 from map_service.pipeline import MapPipeline
-from map_service.registration import RegistrationResult
 from map_service.settings import LoopSettings, PipelineSettings, TrackerSettings
 from map_service.tracker import Track, Tracker, TrackerState
 from map_service.types import State
 from splitslam import se3
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
+from splitslam.registration.align import RegistrationResult
 from splitslam.robot import Robot
 from splitslam.sim.mesh import Mesh
 from splitslam.sim.place import Place

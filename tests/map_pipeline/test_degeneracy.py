@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from map_service.local_map import LocalMap
-from map_service.settings import LocalMapSettings
 from splitslam import se3
+from splitslam.registration.local_map import LocalMap
+from splitslam.registration.settings import LocalMapSettings
 from tests.map_pipeline.test_registration import align
 
 NONE = np.zeros((0, 3), np.float32)

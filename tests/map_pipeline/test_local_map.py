@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from map_service import _kernels as kernels
-from map_service.local_map import VoxelMap
-from map_service.settings import VoxelSettings
 from splitslam import se3
+from splitslam.registration import _kernels as kernels
+from splitslam.registration.local_map import VoxelMap
+from splitslam.registration.settings import VoxelSettings
 from tests.map_pipeline.naive import normal_equations, plane_fit, room
 
 PLANES = VoxelSettings(voxel_m=0.5, levels=3)

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from map_service.local_map import LocalMap
-from map_service.registration import Prediction, Registration, deskew_again
-from map_service.settings import LocalMapSettings, RegistrationSettings
 from splitslam import se3
+from splitslam.registration.align import Prediction, Registration, deskew_again
+from splitslam.registration.local_map import LocalMap
+from splitslam.registration.settings import LocalMapSettings, RegistrationSettings
 from tests.map_pipeline.naive import room
 
 WEAK = np.diag(1 / np.repeat([0.1**2, 0.3**2], 3))

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 
 from map_service import _search_kernels as kernels
-from map_service.local_map import LocalMap
-from map_service.settings import LocalMapSettings
 from splitslam import se3
+from splitslam.registration.local_map import LocalMap
+from splitslam.registration.settings import LocalMapSettings
 from tests.map_pipeline.naive import closeness, room
 
 ELSEWHERE = se3.exp(np.array([0, 0, 0.6, 1.5, -2.0, 0.0]))

@@ -39,7 +39,15 @@ EDGE = Side(
 SERVER = Side("server", ("map_service",), "server", ("edge_agent", "rosbags", "velodyne_decoder", "matplotlib"))
 SHARED = Side(
     "shared",
-    ("splitslam.wire", "splitslam.scan", "splitslam.features", "splitslam.se3", "splitslam.codec", "splitslam.robot"),
+    (
+        "splitslam.wire",
+        "splitslam.scan",
+        "splitslam.features",
+        "splitslam.se3",
+        "splitslam.codec",
+        "splitslam.robot",
+        "splitslam.registration",
+    ),
     None,
     ("edge_agent", "map_service", "sqlalchemy", "small_gicp", "scipy", "rosbags", "velodyne_decoder", "matplotlib"),
 )

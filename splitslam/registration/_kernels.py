@@ -30,21 +30,28 @@ def pack(level, ix, iy, iz):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def slot_of(keys, key):
-    """First slot that holds `key` or is free (linear probing, Fibonacci hashing)."""
-    mask = np.uint64(len(keys) - 1)
+def home_of(keys, key):
+    """Where `key` is looked for first (Fibonacci hashing)."""
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    i = (h >> np.uint64(32)) & mask
+    return (h >> np.uint64(32)) & np.uint64(len(keys) - 1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def slot_of(keys, key):
+    """First slot that holds `key` or is free (linear probing)."""
+    mask = np.uint64(len(keys) - 1)
+    i = home_of(keys, key)
     while keys[i] != -1 and keys[i] != key:
         i = (i + np.uint64(1)) & mask
     return np.int64(i)
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def insert(keys, moments, points, keyframe, voxel_m, levels, touched):
+def insert(keys, moments, points, keyframe, voxel_m, levels, sign, touched):
     """Adds points (N, 3) to every level; fills `touched` (N * levels) with their slots; returns how many are new.
 
-    A slot may be listed more than once; the caller guarantees room for N * levels new voxels.
+    sign: 1.0; -1.0 takes points out that are in. A slot may be listed more than once; the caller guarantees room for
+    N * levels new voxels.
     """
     count, new = 0, 0
     for k in range(len(points)):
@@ -60,16 +67,17 @@ def insert(keys, moments, points, keyframe, voxel_m, levels, touched):
                 new += 1
             dx, dy, dz = x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size
             m = moments[i]
-            m[0] += 1.0
-            m[1] += dx
-            m[2] += dy
-            m[3] += dz
-            m[4] += dx * dx
-            m[5] += dx * dy
-            m[6] += dx * dz
-            m[7] += dy * dy
-            m[8] += dy * dz
-            m[9] += dz * dz
+            sx, sy, sz = sign * dx, sign * dy, sign * dz
+            m[0] += sign
+            m[1] += sx
+            m[2] += sy
+            m[3] += sz
+            m[4] += sx * dx
+            m[5] += sx * dy
+            m[6] += sx * dz
+            m[7] += sy * dy
+            m[8] += sy * dz
+            m[9] += sz * dz
             touched[count] = i
             count += 1
             size *= 2.0
@@ -346,6 +354,31 @@ def transform(T, points, out):
         out[k, 0] = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
         out[k, 1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
         out[k, 2] = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+
+
+@njit(cache=True, nogil=True)
+def forget(keys, moments, geometry, gone):
+    """Frees the voxels with the keys `gone` (M,), all in the table; those behind them close up.
+
+    Knuth, "The art of computer programming", volume 3, section 6.4, algorithm R: no search may end at the gap.
+    """
+    mask = np.int64(len(keys) - 1)
+    for k in range(len(gone)):
+        i = slot_of(keys, gone[k])
+        j = i
+        while True:
+            j = (j + 1) & mask
+            if keys[j] == -1:
+                break
+            home = np.int64(home_of(keys, keys[j]))
+            if ((j - home) & mask) >= ((j - i) & mask):  # its search passes the gap
+                keys[i] = keys[j]
+                moments[i] = moments[j]
+                geometry[i] = geometry[j]
+                i = j
+        keys[i] = -1
+        moments[i] = 0.0
+        geometry[i] = 0.0
 
 
 @njit(cache=True, nogil=True)

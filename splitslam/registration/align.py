@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service import _kernels as kernels
-from map_service.local_map import LocalMap
-from map_service.settings import RegistrationSettings
 from splitslam import se3
+from splitslam.registration import _kernels as kernels
+from splitslam.registration.local_map import LocalMap
+from splitslam.registration.settings import RegistrationSettings
 
 Array = NDArray[np.float64]
 _QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)

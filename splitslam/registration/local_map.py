@@ -10,8 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service import _kernels as kernels
-from map_service.settings import LocalMapSettings, VoxelSettings
+from splitslam.registration import _kernels as kernels
+from splitslam.registration.settings import LocalMapSettings, VoxelSettings
+
+_CAPACITY = 1 << 14
 
 
 class VoxelMap:
@@ -20,13 +22,14 @@ class VoxelMap:
     So a map that is filled with all its keyframes at once, after a restart or a loop, fits each voxel once.
     """
 
-    def __init__(self, settings: VoxelSettings, kind: float) -> None:
+    def __init__(self, settings: VoxelSettings, kind: float, capacity: int = _CAPACITY) -> None:
+        """capacity: voxels for which memory is taken at once, a power of two; twice as many as will be used."""
         self.settings = settings
         self.kind = kind
         self.limits = np.array(
             [settings.min_points, settings.max_thickness_m, settings.min_extent_share, settings.max_thickness_ratio]
         )
-        self._allocate(1 << 14)
+        self._allocate(capacity)
 
     def _allocate(self, capacity: int) -> None:
         self.keys = np.full(capacity, -1, np.int64)
@@ -54,13 +57,26 @@ class VoxelMap:
 
     def insert(self, points: NDArray[np.float64], keyframe: int) -> None:
         """Adds the points (N, 3), m, frame of the map, of a keyframe."""
-        s = self.settings
-        new = len(points) * s.levels
+        new = len(points) * self.settings.levels
         if 2 * (self._used + new) > len(self.keys):
             self._grow(new)
-        touched = np.empty(new, np.int64)
-        self._used += kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, touched)
+        self._used += self._add(points, keyframe, 1.0)
+
+    def remove(self, points: NDArray[np.float64]) -> None:
+        """Takes out the points (N, 3) of a keyframe that is in, the very same to the bit."""
+        self._add(points, 0, -1.0)
+        touched = np.unique(self._stale[-1])
+        gone = self.keys[touched[self.moments[touched, 0] == 0.0]]
+        kernels.forget(self.keys, self.moments, self.geometry, gone)  # fitted before: slots move here
+        self._used -= len(gone)
+
+    def _add(self, points: NDArray[np.float64], keyframe: int, sign: float) -> int:
+        """How many voxels are new."""
+        s = self.settings
+        touched = np.empty(len(points) * s.levels, np.int64)
+        new = kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, sign, touched)
         self._stale.append(touched)
+        return new
 
     def _grow(self, new: int) -> None:
         """A larger table, with room for `new` more voxels."""
@@ -84,12 +100,13 @@ class VoxelMap:
 
 
 class LocalMap:
-    """Corner and surf maps in one frame, `local`; see MapPipeline for how `local` relates to `map`."""
+    """Corner and surf maps in one frame, `local`; on the service, MapPipeline says how `local` relates to `map`."""
 
-    def __init__(self, settings: LocalMapSettings) -> None:
+    def __init__(self, settings: LocalMapSettings, capacity: tuple[int, int] = (_CAPACITY, _CAPACITY)) -> None:
+        """capacity: of the corner and the surf map at the start, see VoxelMap."""
         self.settings = settings
-        self.corners = VoxelMap(settings.corners, kernels.LINE)
-        self.surfs = VoxelMap(settings.surfs, kernels.PLANE)
+        self.corners = VoxelMap(settings.corners, kernels.LINE, capacity[0])
+        self.surfs = VoxelMap(settings.surfs, kernels.PLANE, capacity[1])
         self.keyframes: set[int] = set()
 
     def clear(self) -> None:
@@ -106,8 +123,24 @@ class LocalMap:
         surfs_lidar: NDArray[np.float32],
     ) -> None:
         """Adds keyframe `index`: its points (N, 3) float32, frame `lidar`, at its pose (4, 4)."""
-        for voxels, points_lidar in ((self.corners, corners_lidar), (self.surfs, surfs_lidar)):
-            points_local = np.empty((len(points_lidar), 3))
-            kernels.transform(T_local_lidar, points_lidar, points_local)
-            voxels.insert(points_local, index)
+        self.corners.insert(_moved(T_local_lidar, corners_lidar), index)
+        self.surfs.insert(_moved(T_local_lidar, surfs_lidar), index)
         self.keyframes.add(index)
+
+    def remove(
+        self,
+        index: int,
+        T_local_lidar: NDArray[np.float64],
+        corners_lidar: NDArray[np.float32],
+        surfs_lidar: NDArray[np.float32],
+    ) -> None:
+        """Takes keyframe `index` out again; points and pose are those it was inserted with, to the bit."""
+        self.corners.remove(_moved(T_local_lidar, corners_lidar))
+        self.surfs.remove(_moved(T_local_lidar, surfs_lidar))
+        self.keyframes.discard(index)
+
+
+def _moved(T_local_lidar: NDArray[np.float64], points_lidar: NDArray[np.float32]) -> NDArray[np.float64]:
+    points_local = np.empty((len(points_lidar), 3))
+    kernels.transform(T_local_lidar, points_lidar, points_local)
+    return points_local

@@ -1,0 +1,188 @@
+"""Who says where the robot is: the map service, or, while its answers do not come, the edge's own odometry.
+
+The Imu node is given poses of one frame, `steady`, that never jumps. With the service connected, `steady` is the
+service's odometry frame (inv(T_map_odom) @ T_map_lidar). In an outage the edge's odometry goes on in it, from the
+service's own poses of the last scans. When the service is back, its frame lies where the two disagree by the drift of
+the outage: T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing of it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_agent.odometry.ring import Ring
+from edge_agent.odometry.scan_matching import Outcome, Placement, ScanMatching
+from edge_agent.odometry.settings import OdometrySettings
+from edge_agent.types import OdometryReply
+from splitslam import se3
+from splitslam.features import FeatureFrame
+
+Array = NDArray[np.float64]
+LOCALISING, LOST, UNANCHORED = 5, 6, 4
+_REMEMBERED = 100  # scans: unanswered ones, and placed ones whose late answers can still be used
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """How `map` moved under the robot when the service was back; cause `outage`."""
+
+    translation_m: float
+    rotation_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutageReport:
+    """Outages so far: how many, how long, and what became of their scans. alone: in one now."""
+
+    alone: bool
+    count: int
+    seconds: float
+    scans: dict[str, int]
+    correction_max_m: float
+
+
+class Outages:
+    """Takes every frame that is sent and every answer, and hands out what the Imu node is to be told.
+
+    `alone`: no answers, the edge's odometry is at work. Not in lockstep with a service, which waits: there
+    an answer is late by two scans only.
+    """
+
+    def __init__(
+        self, settings: OdometrySettings, redeskew: bool = True, clock_ns: Callable[[], int] | None = None
+    ) -> None:
+        """clock_ns: by which the age of frames is judged; None: by the newest frame's stamp."""
+        self.settings = settings
+        self.alone = False
+        self.count, self.alone_ns = 0, 0
+        self.scans = dict.fromkeys(Outcome, 0)
+        self.correction_max_m = 0.0
+        self._clock_ns = clock_ns
+        self._ring = Ring(settings.keyframes, int(settings.keyframe_s * 1e9), settings.keyframe_points)
+        self._matching = ScanMatching(settings, self._ring, redeskew)
+        self._unanswered: OrderedDict[int, tuple[int, FeatureFrame]] = OrderedDict()  # by seq; when it was sent
+        self._to_place: deque[FeatureFrame] = deque()
+        self._placed: OrderedDict[int, Placement] = OrderedDict()  # by seq, in this outage
+        self._last: OdometryReply | None = None  # newest answer, with T_map_odom of `steady`
+        self._T_steady_server: Array | None = None  # None: no outage so far, they are the same
+        self._T_map_steady = np.eye(4)  # when the outage began
+        self._begun_ns = self._newest_ns = 0
+
+    # --- frames -----------------------------------------------------------------------------------------------
+
+    def on_frame(self, frame: FeatureFrame) -> list[OdometryReply]:
+        """A frame is sent; what the Imu node is told now. When an outage begins there are some to be placed: they are
+        made up for with the next ones."""
+        if not self.settings.enabled:
+            return []
+        now_ns = self._now_ns(frame)
+        self._newest_ns = frame.stamp_ns
+        self._unanswered[frame.seq] = now_ns, frame
+        if len(self._unanswered) > _REMEMBERED:
+            self._unanswered.popitem(last=False)
+        if self.alone:
+            self._to_place.append(frame)
+        elif self._is_outage(now_ns):
+            self._begin()
+        count = min(len(self._to_place), self.settings.scans_at_once)
+        return [self._place(self._to_place.popleft()) for _ in range(count)]
+
+    def _now_ns(self, frame: FeatureFrame) -> int:
+        return frame.stamp_ns if self._clock_ns is None else self._clock_ns()
+
+    def _is_outage(self, now_ns: int) -> bool:
+        if self._last is None or not self._ring.keyframes or len(self._unanswered) < self.settings.unanswered:
+            return False
+        oldest_ns, _ = next(iter(self._unanswered.values()))
+        return now_ns - oldest_ns >= self.settings.after_s * 1e9
+
+    def _begin(self) -> None:
+        last = self._last
+        assert last is not None
+        self.alone, self.count, self._begun_ns = True, self.count + 1, last.stamp_ns
+        self._T_map_steady = last.T_map_odom
+        T_steady_lidar = se3.inv(last.T_map_odom) @ last.T_map_lidar
+        self._matching.start(
+            Placement(last.seq, last.stamp_ns, T_steady_lidar, last.covariance, np.zeros((0, 6)), Outcome.PLACED)
+        )
+        self._to_place.extend(frame for _, frame in self._unanswered.values())
+
+    def _place(self, frame: FeatureFrame) -> OdometryReply:
+        placement = self._matching.place(frame)
+        self.scans[placement.outcome] += 1
+        self._placed[frame.seq] = placement
+        if len(self._placed) > _REMEMBERED:
+            self._placed.popitem(last=False)
+        assert self._last is not None
+        return OdometryReply(
+            seq=frame.seq,
+            stamp_ns=frame.stamp_ns,
+            T_map_lidar=self._last.T_map_odom @ placement.T_steady_lidar,
+            T_map_odom=self._last.T_map_odom,
+            covariance=placement.covariance,
+            state=UNANCHORED,
+            degenerate_axes=placement.degenerate_axes,
+        )
+
+    # --- answers ----------------------------------------------------------------------------------------------
+
+    def on_answer(self, reply: OdometryReply) -> tuple[OdometryReply, Correction | None]:
+        """The service's answer as the Imu node is to read it, and how `map` moved if that ends an outage."""
+        frame = self._take(reply.seq)
+        if reply.rejected:
+            return reply, None
+        correction = self._late(reply) if self.alone else None
+        steady = self._steady(reply)
+        if not self.alone:
+            self._last = steady
+            if frame is not None and reply.state not in (LOCALISING, LOST) and self._ring.wants(frame):
+                self._ring.add(frame, se3.inv(steady.T_map_odom) @ steady.T_map_lidar, steady.covariance)
+        return steady, correction
+
+    def _steady(self, reply: OdometryReply) -> OdometryReply:
+        """inv(T_map_odom) @ T_map_lidar of an answer is in the service's frame; of what this returns, in `steady`."""
+        if self._T_steady_server is None:
+            return reply
+        return replace(reply, T_map_odom=reply.T_map_odom @ se3.inv(self._T_steady_server))
+
+    def _take(self, seq: int) -> FeatureFrame | None:
+        """The frame that is answered; those before it are settled too."""
+        answered = self._unanswered.get(seq)
+        while self._unanswered and next(iter(self._unanswered)) <= seq:
+            self._unanswered.popitem(last=False)
+        return None if answered is None else answered[1]
+
+    def _late(self, reply: OdometryReply) -> Correction | None:
+        """An answer during an outage: old ones say nothing of now; late ones where `map` is; a fresh one ends it."""
+        s, placement = self.settings, self._placed.get(reply.seq)
+        age_s = (self._newest_ns - reply.stamp_ns) * 1e-9
+        if placement is None or age_s > s.late_s:
+            return None
+        T_server_lidar = se3.inv(reply.T_map_odom) @ reply.T_map_lidar
+        self._T_steady_server = se3.orthonormalised(placement.T_steady_lidar @ se3.inv(T_server_lidar))
+        self._last = self._steady(reply)
+        if age_s > s.back_s:
+            return None
+        self._end()
+        moved = se3.inv(self._T_map_steady @ placement.T_steady_lidar) @ reply.T_map_lidar
+        correction = Correction(float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
+        self.correction_max_m = max(self.correction_max_m, correction.translation_m)
+        return correction
+
+    def _end(self) -> None:
+        self.alone = False
+        self.alone_ns += self._newest_ns - self._begun_ns
+        self._matching.stop()
+        self._to_place.clear()
+        self._placed.clear()
+
+    def report(self) -> OutageReport:
+        """What there is to say up to now."""
+        alone_ns = self.alone_ns + (self._newest_ns - self._begun_ns if self.alone else 0)
+        scans = {str(outcome): count for outcome, count in self.scans.items()}
+        return OutageReport(self.alone, self.count, alone_ns * 1e-9, scans, self.correction_max_m)
