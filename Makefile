@@ -14,7 +14,7 @@ FPGA := .venv-fpga/.set-up
 FPGA_TOOLS := g++ make perl
 WORKERS ?= 2
 
-.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report fuzz check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report fuzz chaos check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -71,6 +71,9 @@ fpga-report: ## the overlay's figures, measured afresh, one JSON object: clocks,
 
 fuzz: setup ## a million mutated payloads into the codec's decoder (COUNT=1000000)
 	@$(BIN)/python -m tests.codec.mutations --count $(or $(COUNT),1000000)
+
+chaos: setup ## every plug pulled, then a soak of 30 minutes (SOAK_MINUTES=30, SEED=1, PREVIOUS=git ref to upgrade from)
+	@$(BIN)/python -m tests.chaos --soak-minutes $(or $(SOAK_MINUTES),30) --seed $(or $(SEED),1) $(if $(PREVIOUS),--previous $(PREVIOUS))
 
 check: setup $(WIRE_TOOLS) ## lint, types, spelling, generated code, wire contract
 	$(BIN)/ruff check

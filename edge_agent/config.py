@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.settings import OdometrySettings
@@ -37,12 +37,21 @@ class SourceConfig(Model):
 
     realtime: paced by the recording's clock; otherwise lockstep, as fast as it goes and reproducible.
     queue_scans: scans that may wait to be processed; more are dropped (realtime) or not read yet (lockstep).
+    began_s: realtime only: when the recording's first message was (or will be) due, on the system's monotonic clock.
+    What was due before the agent listens has passed, as with a sensor; null: the recording begins when the agent does.
     """
 
     recording: Path
     realtime: bool = False
     max_scans: Annotated[int, Field(ge=1)] | None = None
     queue_scans: Annotated[int, Field(ge=1)] = 20
+    began_s: float | None = None
+
+    @model_validator(mode="after")
+    def _only_by_the_clock(self) -> Self:
+        if self.began_s is not None and not self.realtime:
+            raise ValueError("began_s: expected realtime: true with it")
+        return self
 
 
 class OutputConfig(Model):

@@ -99,7 +99,7 @@ class _Run:
         self._uplink = Uplink(config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers)
         self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
         self._after = StartAfter(0, -(2**62))
-        self._reader = Reader(self._events(), self._queue, source.realtime)
+        self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)
         feed = None
         if config.feed.socket is not None:
             feed = PoseFeed(config.feed, config.feed.socket, robot.T_body_lidar, metrics)
@@ -176,7 +176,7 @@ class _Run:
         self._uplink.close()
         if self._outputs is not None:
             self._outputs.publish(self._report(finished is None))
-        self._progress.end(self._recording.counts.scans_read, self._tally.mapped)
+        self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch(self, stop: threading.Event) -> None:
         stop.wait()
@@ -222,12 +222,16 @@ class _Run:
             )
             raise InputError(f"{self._config.source.recording}: no usable scans ({why}); expected at least one")
 
+    @property
+    def _scans_read(self) -> int:
+        return self._recording.counts.scans_read - self._after.skipped - self._reader.passed_scans
+
     def _report(self, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""
         tally, counts = self._tally, self._recording.counts
         recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
-        read = counts.scans_read - self._after.skipped
+        read = self._scans_read
         welcome = self._uplink.welcome
         going_on = {"continued": {"after_scan": self._after.seq, "replayed": tally.replayed}} if self._after.seq else {}
         return {
@@ -236,6 +240,7 @@ class _Run:
             **going_on,
             "stopped": stopped,
             "scans": {"read": read, "sent": tally.sent, "mapped": tally.mapped, "dropped": read - tally.mapped},
+            "passed_scans": self._reader.passed_scans,  # before the agent listened
             "recording_s": recording_s,
             **tally.times(),
             **stage_summaries(self._metrics),

@@ -102,13 +102,19 @@ class Reader(threading.Thread):
 
     realtime: each event waits until as much time has passed as lies between it and the first in the recording.
     Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
+    began_s: when the first event is due, on the monotonic clock; what is past when the reader gets there is skipped,
+    and its scans are counted in `passed_scans`.
     """
 
-    def __init__(self, events: Iterable[TimedEvent], queue: EventQueue, realtime: bool) -> None:
+    def __init__(
+        self, events: Iterable[TimedEvent], queue: EventQueue, realtime: bool, began_s: float | None = None
+    ) -> None:
         super().__init__(name="reader", daemon=True)
         self._events, self._queue, self._realtime = events, queue, realtime
         self._stopped = threading.Event()
+        self._began_s = began_s if realtime else None
         self.cpu_s = 0.0
+        self.passed_scans = 0
 
     def stop(self) -> None:
         """Ends the reading and the loop at once."""
@@ -132,11 +138,18 @@ class Reader(threading.Thread):
     def _read(self) -> None:
         batch: list[TimedEvent] = []
         origin_s: float | None = None
+        listening = self._began_s is None
         for event in self._events:
             self.cpu_s = time.thread_time()
             if self._realtime:
-                origin_s = time.monotonic() - event[0] * 1e-9 if origin_s is None else origin_s
-                wait_s = origin_s + event[0] * 1e-9 - time.monotonic()
+                now_s = time.monotonic()
+                if origin_s is None:
+                    origin_s = (now_s if self._began_s is None else self._began_s) - event[0] * 1e-9
+                wait_s = origin_s + event[0] * 1e-9 - now_s
+                listening = listening or wait_s >= 0
+                if not listening:
+                    self.passed_scans += isinstance(event[1], Scan)
+                    continue
                 if wait_s > 0:
                     if batch and not self._queue.put(batch):
                         return

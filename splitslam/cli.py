@@ -192,9 +192,24 @@ def demo(
     seconds: Annotated[float | None, typer.Option(metavar="S", help="Length of the drive.")] = None,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the sensors' noise.")] = 1,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw the run as a PNG.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print report.json.")] = False,
+    chaos: Annotated[
+        bool, typer.Option("--chaos", help="Four robots, three replicas, and plugs that are pulled.")
+    ] = False,
+    script: Annotated[
+        str | None, typer.Option(metavar="FILE", help="With --chaos: what is pulled when; `default`; without, by keys.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print report.json (chaos.json).")] = False,
 ) -> None:
     """Make a short drive in a made world, run it through both programs, score it."""
+    if chaos:
+        if picture is not None:
+            raise InputError("--picture: expected without --chaos")
+        from splitslam.chaos.command import run_chaos
+
+        run_chaos(out, seconds=seconds, seed=seed, script=script, as_json=as_json)
+        return
+    if script is not None:
+        raise InputError("--script: expected with --chaos")
     from splitslam.demo import demo as run_demo
     from splitslam.run.progress import Progress
 

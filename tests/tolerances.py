@@ -109,3 +109,13 @@ KIDNAP_FOUND_M = 0.2
 KILLED_REPLICA_GAP_S = 0.5
 DRAINED_REPLICA_GAP_S = 0.3
 FROZEN_REPLICA_GAP_S = 2.5
+KILLED_STORE_GAP_S = 4.0
+# A frame that was applied but not durable when its owner died is mapped again by the next one, from the stored state.
+CHAOS_REMAPPED_M = 0.02
+# What anything that is done to the system may cost a trajectory, whichever is larger.
+CHAOS_WORSE_M = 0.02
+CHAOS_WORSE_SHARE = 0.10
+# A process that lives on with the same work: caches fill, a leak grows.
+CHAOS_MEMORY_RATIO = 1.3
+# `make chaos` holds gaps in answers to the bars; where other work shares the machine, to their order of size.
+CHAOS_GAP_SLACK = 3.0

@@ -33,15 +33,16 @@ class SessionClient:
             session = self._stub.Get(pb.GetRequest(session_id=self._id), timeout=_CALL_S).session
         return session, json.loads(session.statistics_json or "{}")
 
-    def trajectory(self) -> Trajectory:
-        """Final optimised poses T_map_lidar in order of time."""
+    def stored_poses(self) -> list[types.StampedPose]:
+        """Every mapped frame with its final optimised pose T_map_lidar, in order of time."""
         with _named("Trajectory"):
             request = pb.TrajectoryRequest(session_id=self._id)
             poses = [pose for page in self._stub.Trajectory(request, timeout=_STREAM_S) for pose in page.poses]
-        poses.sort(key=lambda pose: pose.stamp_ns)
-        values = np.array([_numbers(pose.pose) for pose in poses]).reshape(-1, 7)
-        stamps_ns = np.array([pose.stamp_ns for pose in poses], np.int64)
-        return Trajectory(stamps_ns, values[:, :3], values[:, 3:])
+        return sorted(poses, key=lambda pose: pose.stamp_ns)
+
+    def trajectory(self) -> Trajectory:
+        """Final optimised poses T_map_lidar in order of time."""
+        return as_trajectory(self.stored_poses())
 
     def map_pieces(self) -> Iterator[bytes]:
         """Points of one keyframe after the other; the keyframes' positions gather in `keyframes_map`."""
@@ -49,6 +50,13 @@ class SessionClient:
             for piece in self._stub.StreamMap(pb.StreamMapRequest(session_id=self._id), timeout=_STREAM_S):
                 self.keyframes_map.append(_numbers(piece.pose_map_lidar)[:3])
                 yield piece.points
+
+
+def as_trajectory(poses: list[types.StampedPose]) -> Trajectory:
+    """Messages in order of time -> trajectory."""
+    values = np.array([_numbers(pose.pose) for pose in poses]).reshape(-1, 7)
+    stamps_ns = np.array([pose.stamp_ns for pose in poses], np.int64)
+    return Trajectory(stamps_ns, values[:, :3], values[:, 3:])
 
 
 @contextmanager

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from splitslam.wire import session_pb2 as pb
 
 
 @dataclass(frozen=True, slots=True)
 class Reel:
-    """hello: without ids. frames: seq from 1, stamps as recorded, ns."""
+    """hello: without ids. frames: seq from 1, stamps as recorded, ns. T_map_lidar: of each frame, (4, 4), as the map
+    pipeline answered it, and `final_T_map_lidar` as it had it at the end.
+    """
 
     hello: pb.Hello
     frames: list[pb.Frame]
+    T_map_lidar: list[NDArray[np.float64]] = field(default_factory=list)
+    final_T_map_lidar: list[NDArray[np.float64]] = field(default_factory=list)
 
     def hello_of(self, robot_id: str, run_id: str = "") -> pb.Hello:
         """For a run of its own."""
@@ -46,6 +53,7 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
     off = frozenset({"gnss", "loops", "wheels"})
     robot = load_robot(robot_file).model_copy(update={"gnss": None, "wheels": None})
     frames: list[pb.Frame] = []
+    answers: list[NDArray[np.float64]] = []
     with open_recording(recording, robot, max_scans=max_scans) as read:
         beams = read.beam_elevations_rad
         imu = make_imu_node(read.robot, ImuSettings())
@@ -64,8 +72,11 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
                 continue
             frames.append(frame_message(sent, codec.CODEC_VERSION, "reel"))
             a = service.process(codec.decode(sent.payload, sent.seq, sent.stamp_ns, sent.dense, beams))
+            answers.append(a.T_map_lidar)
             pose = (a.T_map_lidar, a.T_map_odom, a.covariance)
             imu.on_odometry(OdometryReply(a.seq, a.stamp_ns, *pose, int(a.state), a.degenerate_axes))
+        service.finish()
+        final = [T for _, _, T in service.trajectory()]
         hello = pb.Hello(
             robot_file_yaml=robot_to_yaml(read.robot),
             beam_elevations_rad=beams.tolist(),
@@ -74,4 +85,4 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
             deskew=edge.image_node.name,
             disable=sorted(off),
         )
-    return Reel(hello, frames)
+    return Reel(hello, frames, answers, final)

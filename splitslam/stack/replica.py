@@ -32,7 +32,7 @@ class Replica(StackProcess):
         """settings: of ServiceConfig, over what the stack sets. program: what `serve --config FILE` is given to."""
         super().__init__(name, folder / f"{name}.log")
         self.port, self.metrics_port = free_port(), free_port()
-        self._program = tuple(program)
+        self.program = tuple(program)  # taken up at the next start: an upgrade
         self._config = folder.absolute() / f"{name}.yaml"
         own = {
             "listen": self.address,
@@ -50,7 +50,7 @@ class Replica(StackProcess):
     def start(self, wait: bool = True) -> None:
         """wait: until robots can connect. Raises StackError."""
         self._begin = self.log.stat().st_size if self.log.exists() else 0
-        self.launch((*self._program, "serve", "--config", self._config))
+        self.launch((*self.program, "serve", "--config", self._config))
         if wait:
             self.wait_ready()
 

@@ -81,6 +81,25 @@ def test_by_the_clock_a_full_queue_drops_the_oldest_scan_and_counts_it_but_keeps
     assert sum(not isinstance(data, Scan) for _, data in left) == 100
 
 
+def test_an_agent_that_starts_late_has_missed_what_was_due_before_and_goes_on_with_what_comes():
+    queue = EventQueue(50, may_drop=True, metrics=EdgeMetrics())
+    reader = Reader(events(5), queue, realtime=True, began_s=time.monotonic() - 0.25)
+    started_s = time.monotonic()
+    reader.start()
+    left = flat(list(queue.batches()))
+    assert reader.passed_scans == 2
+    assert 240_000_000 <= left[0][0] <= 400_000_000
+    assert time.monotonic() - started_s >= 0.2
+
+
+def test_agents_with_the_same_beginning_see_an_event_at_the_same_time():
+    began_s = time.monotonic() + 0.3
+    queue = EventQueue(50, may_drop=True, metrics=EdgeMetrics())
+    Reader(events(2), queue, realtime=True, began_s=began_s).start()
+    next(queue.batches())
+    assert time.monotonic() >= began_s
+
+
 def test_an_error_while_reading_comes_out_of_the_loop_after_what_was_read():
     def broken() -> Iterator[TimedEvent]:
         yield from events(3)

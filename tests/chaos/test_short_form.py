@@ -1,0 +1,26 @@
+"""The short form of the chaos suite: one stack, one fault after the other, robots that check every answer."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+
+from tests import tolerances as bars
+from tests.chaos.faults import SHORT
+from tests.chaos.field import Size, open_field
+from tests.chaos.material import make
+from tests.chaos.sequence import play
+
+
+@pytest.mark.alone
+def test_whatever_is_killed_frozen_or_cut_every_scan_is_mapped_once_and_nothing_is_left_behind(tmp_path):
+    size = Size(light=3, real=1, frames=150)
+    with open_field(tmp_path, partial(make, tmp_path / "drive", seconds=30.0), size) as field:
+        outcomes = play(field, SHORT)
+    assert field.wrong == []
+    assert field.fleet.judged >= size.light
+    assert [outcome.fault for outcome in outcomes] == [fault.name for fault in SHORT]
+    for outcome in outcomes:
+        if outcome.bar_s is not None:
+            assert outcome.gap_s <= bars.CHAOS_GAP_SLACK * outcome.bar_s, outcome.line()
