@@ -12,7 +12,7 @@ from pathlib import Path
 from splitslam.run.processes import Child, RunFailedError, how_it_ended, started
 
 NAME = "map-service"
-_START_S = 60.0
+_START_S = 300.0  # the first start compiles the kernels
 _STOP_S = 10.0
 _TICK_S = 0.1
 
