@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from edge_agent.config import UplinkConfig
 from splitslam.stack import Stack
 from splitslam.stack.process import wait_until
 from splitslam.stack.robot import LightRobot
@@ -13,7 +14,7 @@ from tests.map_service.fakes import FINAL_SHIFT_M
 from tests.map_service.harness import Operator
 from tests.stack.watch import events, fenced, fullest, loads, owner, rebalanced, streams
 
-Drive = Callable[[int], list[LightRobot]]
+Drive = Callable[..., list[LightRobot]]
 QUIET_GAP_S = 0.15  # between two answers at 10 Hz, of a machine with nothing else to do
 
 
@@ -73,7 +74,7 @@ def test_a_replica_that_is_drained_says_where_there_is_room_and_leaves_nothing_t
 
 def test_a_frozen_replica_is_left_and_cannot_write_when_it_wakes(whole: Stack, drive: Drive) -> None:
     """Front and workers stop for 3 s, with frames answered and not committed: keyframes are seq 1, 6, 11, ..."""
-    robots = drive(3)
+    robots = drive(3, UplinkConfig())
     frozen = fullest(whole)
     before = fenced(frozen)
     theirs = next(robot for robot in robots if owner(whole, robot) == frozen.name)
