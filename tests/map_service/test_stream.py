@@ -8,6 +8,8 @@ from collections.abc import Callable
 import grpc
 import pytest
 
+from map_service.integrity import Seen, findings
+from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
@@ -72,13 +74,17 @@ def test_a_gap_ends_the_stream_with_the_expected_seq_and_the_session_goes_on(
     assert resumed.ask(frame(2)).pose_map_lidar.tx_m == 2.0
 
 
-def test_a_hole_that_the_robot_declares_is_accepted(service: Service, connect: Connect) -> None:
+def test_a_hole_that_the_robot_declares_is_accepted_and_noted(service: Service, connect: Connect) -> None:
     robot = connect(service)
     robot.ask(frame(1))
     after = frame(4)
     after.follows_seq = 1
     answer = robot.ask(after)
     assert (answer.seq, answer.applied_seq, answer.rejected) == (4, 4, "")
+    robot.wait_durable(4)
+    store = Store(service.store_url)
+    assert not [line for line in findings(store, Seen()) if "missing" in line and "factor" not in line]
+    store.close()
     undeclared = frame(7)
     undeclared.follows_seq = 5  # the robot still has 5: it must send it
     robot.send(undeclared)
