@@ -84,6 +84,11 @@ class EdgePipeline:
         self.rate.sent(scan.stamp_ns, dense, len(corners) + len(surfs), wanted, len(payload))
         self._carried.went(motion, bare=allowed == 0)
         self.seq += 1
+        own = frame
+        if len(corners) + len(surfs) < wanted:  # the budget is the uplink's: on the robot all of them are there
+            corners, surfs = self._selector.choose(image, marks, dense)
+            own = replace(frame, corners=corners, surfs=surfs)
+            clock.lap("features")
         clock.stop()
         return EncodedFrame(
             seq=self.seq,
@@ -93,9 +98,9 @@ class EdgePipeline:
             fixes=packet.fixes,
             stage_cpu_ms=clock.cpu_ms,
             stage_wall_ms=clock.wall_ms,
-            corners=len(corners),
-            surfs=len(surfs),
-            features=frame,
+            corners=len(frame.corners),
+            surfs=len(frame.surfs),
+            features=own,
         )
 
     def _check(self, scan: Scan) -> None:

@@ -50,7 +50,7 @@ class EncodedFrame:
 
     payload: splitslam.codec's bytes. stage_cpu_ms, stage_wall_ms: thread CPU and wall time by stage: deskew (projection
     included: the paper's Algorithm 1), motion (Imu node), features, encode, total. corners, surfs: points in it.
-    features: what was encoded, for the edge's own odometry.
+    features: the same without a budget, for the edge's own odometry.
     """
 
     seq: int

@@ -123,11 +123,6 @@ def check(
         raise typer.Exit(1)
 
 
-@bench.callback()
-def _bench() -> None:
-    """Keeps `partition` a command of its own while it is the only one."""
-
-
 @bench.command("partition")
 def bench_partition(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Bags, robot file beside each.")],
@@ -157,6 +152,38 @@ def bench_partition(
         return
     show(found, laz_missing=result["laz"] is None)
     print(f"{out / 'partition.json'}\n{out / 'partition.png'}")
+
+
+@bench.command("delay")
+def bench_delay(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A bag, robot file beside it.")],
+    delays: Annotated[str, typer.Option(metavar="LIST", help="Milliseconds, separated by commas.")] = "0,100,300,1000",
+    truth: Annotated[Path | None, typer.Option(metavar="TRUTH.tum", help="Default: the .tum beside it.")] = None,
+    robot: Annotated[Path | None, typer.Option(metavar="FILE", help="Robot file.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where delay.json and .png go.")] = Path("out/delay"),
+    max_scans: Annotated[int | None, typer.Option(metavar="N", help="Read only so many scans.")] = None,
+    disable: Annotated[str, typer.Option(metavar="LIST", help="Comma-separated, of gnss, imu, wheels.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print delay.json.")] = False,
+) -> None:
+    """How good the robot's pose is when the map service's answers are late."""
+    import json
+
+    from splitslam.bench.options import DelayOptions, milliseconds
+    from splitslam.run.options import check_installed
+    from splitslam.run.progress import Progress
+
+    options = DelayOptions(recording, out, milliseconds(delays), robot, truth, max_scans, _listed(disable))
+    check_installed(("viz", "edge", "server"))
+    from splitslam.bench.delay import bench_delay as measure
+    from splitslam.bench.delay_show import show
+
+    with Progress() as progress:
+        result, made = measure(options, progress)
+    if as_json:
+        print(json.dumps(made, allow_nan=False))
+        return
+    show(result)
+    print(f"{out / 'delay.json'}\n{out / 'delay.png'}")
 
 
 @app.command("demo")

@@ -62,6 +62,14 @@ ODOM_STEP_M = 0.02
 ODOM_STEP_DEG = 0.3
 # Error of `odom` over a second without corrections, median.
 ALONE_1S_MEDIAN_M = 0.05
+# A scan of a made room against the ring of scans before it: points of 1 cm, ten to a voxel.
+EDGE_ODOMETRY_M = 0.01
+# What the issue promises while the network is away.
+OUTAGE_DRIFT_SHARE = 0.01
+OUTAGE_CAUGHT_UP_S = 15.0
+OUTAGE_ATE_RATIO, OUTAGE_ATE_M = 1.10, 0.002
+# And of answers 300 ms late.
+DELAY_300_MS_RATIO = 1.5
 # Drift along the way with wheels that are off by 1 % and no LiDAR, share of the way: no worse than the wheels' own.
 WHEELS_DRIFT_SHARE = 0.01
 # What a fault of the GNSS receiver (a jump of 15 m for 6 s, and its kin) may move the map.

@@ -71,6 +71,7 @@ class Outages:
         self._last: OdometryReply | None = None  # newest answer, with T_map_odom of `steady`
         self._T_steady_server: Array | None = None  # None: no outage so far, they are the same
         self._T_map_steady = np.eye(4)  # when the outage began
+        self._joined = 0  # answers that have said so, in this outage
         self._begun_ns = self._newest_ns = 0
 
     # --- frames -----------------------------------------------------------------------------------------------
@@ -110,6 +111,7 @@ class Outages:
         self._matching.start(
             Placement(last.seq, last.stamp_ns, T_steady_lidar, last.covariance, np.zeros((0, 6)), Outcome.PLACED)
         )
+        self._joined = 0
         self._to_place.extend(frame for _, frame in self._unanswered.values())
 
     def _place(self, frame: FeatureFrame) -> OdometryReply:
@@ -163,8 +165,7 @@ class Outages:
         age_s = (self._newest_ns - reply.stamp_ns) * 1e-9
         if placement is None or age_s > s.late_s:
             return None
-        T_server_lidar = se3.inv(reply.T_map_odom) @ reply.T_map_lidar
-        self._T_steady_server = se3.orthonormalised(placement.T_steady_lidar @ se3.inv(T_server_lidar))
+        self._join(placement, se3.inv(reply.T_map_odom) @ reply.T_map_lidar)
         self._last = self._steady(reply)
         if age_s > s.back_s:
             return None
@@ -173,6 +174,15 @@ class Outages:
         correction = Correction(float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
         self.correction_max_m = max(self.correction_max_m, correction.translation_m)
         return correction
+
+    def _join(self, placement: Placement, T_server_lidar: Array) -> None:
+        """T_steady_server by the two poses of one scan. Both have noise and the drift is slow: a mean of some scans."""
+        before, self._joined = self._T_steady_server, self._joined + 1
+        expected = placement.T_steady_lidar
+        if before is not None and self._joined > 1:
+            predicted, gain = before @ T_server_lidar, max(1.0 / self._joined, self.settings.late_gain)
+            expected = predicted @ se3.exp(gain * se3.log(se3.inv(predicted) @ expected))
+        self._T_steady_server = se3.orthonormalised(expected @ se3.inv(T_server_lidar))
 
     def _end(self) -> None:
         self.alone = False

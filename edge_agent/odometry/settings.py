@@ -16,6 +16,7 @@ class OdometrySettings(Model):
     unanswered: int = Field(default=4, ge=2, description="scans that must be unanswered besides")
     back_s: float = Field(default=0.3, gt=0, description="an answer to a scan no older than this: it is not alone")
     late_s: float = Field(default=3.0, gt=0, description="answers up to this age still say where `map` is")
+    late_gain: float = Field(default=0.1, gt=0, le=1, description="weight of each of them after the first few")
     keyframes: int = Field(default=80, ge=2, description="dense scans that are kept to match against")
     keyframe_s: float = Field(default=0.15, ge=0, description="between two of them")
     keyframe_points: int = Field(default=2500, ge=100, description="of a dense scan that are kept, at most")

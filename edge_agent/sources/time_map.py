@@ -18,7 +18,7 @@ ALIKE_NS = 300_000_000  # steps that differ by less are one: stamps and arrivals
 _TOGETHER_NS = 20_000_000_000
 _log = logging.getLogger(__name__)
 Message = Scan | ImuSamples | WheelSamples | GnssFix
-T = TypeVar("T", Scan, ImuSamples, WheelSamples, GnssFix)
+T = TypeVar("T", bound=Message)
 
 
 @dataclass(frozen=True, slots=True)

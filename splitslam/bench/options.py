@@ -48,3 +48,48 @@ def _beside(recording: Path) -> Path:
     if recording.exists() and not robot.is_file():
         raise InputError(f"{robot}: expected a robot file beside the recording (or --robot)")
     return robot
+
+
+@dataclass(frozen=True, slots=True)
+class DelayOptions:
+    """delays_ms: of the answers. robot, truth: None for the files beside the recording, if there is a truth."""
+
+    recording: Path
+    out: Path
+    delays_ms: tuple[float, ...]
+    robot: Path | None = None
+    truth: Path | None = None
+    max_scans: int | None = None
+    disable: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError: one line that names the option and what was expected."""
+        load_robot(self.run(self.out).robot)
+        if not self.delays_ms:
+            raise InputError("--delays: expected milliseconds, separated by commas, found none")
+        for delay_ms in self.delays_ms:
+            if not 0 <= delay_ms <= 60_000:
+                raise InputError(f"--delays: expected 0 to 60000 ms, found {delay_ms:g}")
+
+    def run(self, out: Path) -> RunOptions:
+        """What it has in common with `splitslam run`, checked."""
+        return RunOptions(
+            recording=self.recording,
+            robot=self.robot or _beside(self.recording),
+            out=out,
+            max_scans=self.max_scans,
+            disable=self.disable,
+        )
+
+    def truth_file(self) -> Path | None:
+        """The one that was named or lies there."""
+        beside = self.recording.with_suffix(".tum")
+        return self.truth or (beside if beside.is_file() else None)
+
+
+def milliseconds(text: str) -> tuple[float, ...]:
+    """`0,100,300` as numbers. Raises InputError."""
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise InputError(f"--delays: expected milliseconds, separated by commas, found {text!r}") from None

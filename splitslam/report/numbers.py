@@ -11,6 +11,7 @@ _FROM_EDGE = (
     "scans",
     "jumps",
     "wheels",
+    "outages",
     "deskew",
     "edge_ms",
     "edge_wall_ms",

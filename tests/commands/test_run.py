@@ -58,7 +58,14 @@ def test_the_report_has_every_key_that_is_documented(options: RunOptions):
     assert _leaves(report) == documented
 
 
-_WHOLE = ("dropped_by_reason.", "deskew.troubles.", "gnss_rejected.", "evaluation.trajectory.", "evaluation.online.")
+_WHOLE = (
+    "dropped_by_reason.",
+    "deskew.troubles.",
+    "gnss_rejected.",
+    "outages.scans.",
+    "evaluation.trajectory.",
+    "evaluation.online.",
+)
 
 
 def _leaves(value: object, prefix: str = "") -> set[str]:

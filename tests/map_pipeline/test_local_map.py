@@ -122,3 +122,46 @@ def test_eigen_symmetric_equals_lapack():
         kernels.eigen_symmetric(D, V)
         np.testing.assert_allclose(np.sort(np.diag(D)), np.linalg.eigvalsh(A), rtol=1e-6, atol=1e-12 * np.trace(A))
         np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, A, atol=1e-9 * np.trace(A))
+
+
+def voxels_of(voxels: VoxelMap) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Key -> moments and geometry, found by the search that matching uses."""
+    found = {}
+    for key in voxels.keys[voxels.keys != -1].tolist():
+        i = kernels.slot_of(voxels.keys, np.int64(key))
+        assert voxels.keys[i] == key
+        found[key] = voxels.moments[i, :10].copy(), voxels.geometry[i].copy()
+    return found
+
+
+def test_what_is_taken_out_leaves_the_map_as_if_it_had_never_been_in():
+    rng = np.random.default_rng(12)
+    parts = [room(rng, 1500, 0.02)[0] + [0.4 * k, 0.0, 0.0] for k in range(5)]
+    settings = VoxelSettings(levels=2)
+    voxels = VoxelMap(settings, kernels.PLANE, capacity=1 << 13)  # crowded: searches run into each other
+    for k, part in enumerate(parts):
+        voxels.insert(part, k)
+    for part in parts[:3]:
+        voxels.remove(part)
+    expected = VoxelMap(settings, kernels.PLANE)
+    for k, part in enumerate(parts[3:]):
+        expected.insert(part, k)
+    left, right = voxels_of(voxels), voxels_of(expected)
+    assert left.keys() == right.keys()
+    assert voxels.used == len(left)
+    for key, (moments, geometry) in left.items():
+        np.testing.assert_allclose(moments, right[key][0], atol=1e-9)
+        assert geometry[9] == right[key][1][9]
+        if geometry[9]:
+            np.testing.assert_allclose(geometry[6:9], right[key][1][6:9], atol=1e-9)
+
+
+def test_an_emptied_map_is_empty():
+    rng = np.random.default_rng(13)
+    points = rng.uniform(-3, 3, (2000, 3))
+    voxels = VoxelMap(VoxelSettings(), kernels.PLANE)
+    voxels.insert(points, 0)
+    voxels.remove(points)
+    assert (voxels.keys == -1).all()
+    assert not voxels.moments.any()
+    assert not voxels.geometry.any()

@@ -1,0 +1,83 @@
+"""The network is away: nothing is lost, the robot knows where it has gone meanwhile, and the map does not suffer."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.outage import Cut, by_the_clock
+from edge_agent.odometry.outage import UNANCHORED
+from edge_agent.odometry.settings import OdometrySettings
+from splitslam.bench.drift import drift
+from splitslam.bench.in_one_process import Network, Outcome, Poses, run_both
+from splitslam.evaluate import evaluate
+from splitslam.tum import read_tum
+from tests import tolerances as bars
+
+SCANS, SILENT_S = 220, (8.0, 20.0)
+
+
+@pytest.fixture(scope="module")
+def yard1(shared_data: Path) -> Path:
+    return shared_data / "yard1" / "yard1.bag"
+
+
+def outage(yard1: Path, odometry: bool = True, disable: tuple[str, ...] = ()) -> Outcome:
+    network, settings = Network(silent_s=SILENT_S), OdometrySettings(enabled=odometry)
+    robot = yard1.with_suffix(".yaml")
+    return run_both(yard1, robot, network=network, odometry=settings, disable=disable, max_scans=SCANS)
+
+
+def share(out: Outcome, poses: Poses, yard1: Path) -> float:
+    """Drift of the poses during the outage, share of the way."""
+    begin_ns, end_ns = (out.start_ns + int(s * 1e9) for s in SILENT_S)
+    return drift(poses.trajectory(), read_tum(yard1.with_suffix(".tum")), begin_ns, end_ns).share
+
+
+def test_twelve_seconds_alone_cost_less_than_a_hundredth_of_the_way_and_the_map_nothing(yard1: Path):
+    out = outage(yard1)
+    truth = read_tum(yard1.with_suffix(".tum"))
+    report = out.outages.report()
+    assert (report.count, report.alone) == (1, False)
+    assert report.seconds == pytest.approx(SILENT_S[1] - SILENT_S[0], abs=0.5)
+    assert report.scans["failed"] == 0
+    assert report.scans["placed"] >= 110
+    found = share(out, out.scans_odom, yard1)
+    assert found <= bars.OUTAGE_DRIFT_SHARE
+    assert out.node.jumps["odom_max_m"] <= bars.ODOM_STEP_M
+    assert out.node.jumps["odom_max_deg"] <= bars.ODOM_STEP_DEG
+    assert len(out.final()) == SCANS
+    assert evaluate(out.final(), truth).ate_m <= bars.YARD1_ATE_M
+    assert len(out.corrections) == 1
+    # the robot's pose in the map, all the time, as it knew it
+    assert evaluate(out.imu_map.trajectory(), truth).ate_m <= bars.YARD1_ONLINE_ATE_M
+    states = np.array([state for at_ns, state in out.states if SILENT_S[0] + 1 < (at_ns - out.start_ns) * 1e-9 < 20.0])
+    assert (states == UNANCHORED).all()
+    # the Imu node alone would be somewhere else
+    imu_alone = outage(yard1, odometry=False)
+    assert share(imu_alone, imu_alone.scans_odom, yard1) > 5 * found
+
+
+def test_without_an_imu_it_is_the_odometry_that_finds_the_way(yard1: Path):
+    # its `odom` is made of predictions; where it is in the map is what the odometry says
+    out = outage(yard1, disable=("imu",))
+    assert out.outages.report().scans["failed"] == 0
+    assert share(out, out.scans_map, yard1) <= bars.OUTAGE_DRIFT_SHARE
+
+
+@pytest.mark.alone
+def test_both_programs_get_over_a_cut_network_by_the_clock(yard1: Path):
+    cut = Cut(4.0, 9.0)
+    result = by_the_clock(yard1, yard1.with_suffix(".tum"), cut, max_scans=140)
+    assert result["lost"] == 0
+    assert result["outages"]["count"] >= 1
+    assert result["outages"]["scans"]["failed"] == 0
+    assert not result["outages"]["alone"]
+    assert result["caught_up_s"] <= bars.OUTAGE_CAUGHT_UP_S
+    assert result["share"] <= bars.OUTAGE_DRIFT_SHARE
+    assert result["odom_max_m"] <= bars.ODOM_STEP_M
+    assert result["ate_m"] <= bars.YARD1_ATE_M
+    assert math.isfinite(result["outages"]["odometry_ms"]["mean"])
