@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from typing import Any
 
 from google.protobuf.message import DecodeError as WireError
@@ -42,8 +41,6 @@ class SessionHost:
         self._send = send
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
-        self._quotas_looked_s = time.monotonic()
-        self._quotas_look: Future[None] | None = None
         self._leaving: set[int] = set()  # streams whose sessions are being handed over
         self._released: list[str] = []
         self._poison: dict[str, int] = {}
@@ -288,17 +285,7 @@ class SessionHost:
 
     def _keep_quotas(self) -> None:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""
-        if not self._quotas.any:
-            return
-        look, now_s = self._quotas_look, time.monotonic()
-        if look is None:
-            if now_s - self._quotas_looked_s >= self.config.quota.every_s:
-                self._quotas_look = self._committer.run(self._quotas.refresh)
-            return
-        if not look.done():
-            return
-        self._quotas_look, self._quotas_looked_s = None, now_s
-        if look.exception() is not None:  # a store that is away is somebody else's to report
+        if not self._quotas.looked(self._committer.run):
             return
         for session in list(self.sessions.values()):
             if session.stream is None or session.finishing:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+
 from map_service.catalog import Catalog
 from map_service.config import QuotaConfig
 from map_service.hello import RefusedError
@@ -17,6 +21,8 @@ class SiteQuotas:
     def __init__(self, config: QuotaConfig, catalog: Catalog) -> None:
         self._config, self._catalog = config, catalog
         self._bytes: dict[str, int] = {}
+        self._looked_s = time.monotonic()
+        self._look: Future[None] | None = None
 
     @property
     def any(self) -> bool:
@@ -30,6 +36,19 @@ class SiteQuotas:
     def refresh(self) -> None:
         """Raises StoreError."""
         self._bytes = self._catalog.bytes_by_site()
+
+    def looked(self, run: Callable[[Callable[[], None]], Future[None]]) -> bool:
+        """Is there news? Asks the store now and then by `run`, and waits for nothing. No look without a quota."""
+        now_s = time.monotonic()
+        if self._look is None:
+            if self.any and now_s - self._looked_s >= self._config.every_s:
+                self._look = run(self.refresh)
+            return False
+        if not self._look.done():
+            return False
+        failed = self._look.exception() is not None  # a store that is away is others' to report
+        self._look, self._looked_s = None, now_s
+        return not failed
 
     def check(self, site_id: str) -> None:
         """Raises RefusedError for a site at its quota."""

@@ -36,7 +36,7 @@ class VoxelMap:
         self.moments = np.zeros((capacity, 11))
         self._geometry = np.zeros((capacity, 13))
         self._stale: list[NDArray[np.int64]] = []  # slots whose fit is older than their moments
-        self._used = 0
+        self.used = 0
 
     def clear(self) -> None:
         """Forgets everything, keeps the memory."""
@@ -44,7 +44,7 @@ class VoxelMap:
         self.moments.fill(0.0)
         self._geometry.fill(0.0)
         self._stale.clear()
-        self._used = 0
+        self.used = 0
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -58,9 +58,9 @@ class VoxelMap:
     def insert(self, points: NDArray[np.float64], keyframe: int) -> None:
         """Adds the points (N, 3), m, frame of the map, of a keyframe."""
         new = len(points) * self.settings.levels
-        if 2 * (self._used + new) > len(self.keys):
+        if 2 * (self.used + new) > len(self.keys):
             self._grow(new)
-        self._used += self._add(points, keyframe, 1.0)
+        self.used += self._add(points, keyframe, 1.0)
 
     def remove(self, points: NDArray[np.float64]) -> None:
         """Takes out the points (N, 3) of a keyframe that is in, the very same to the bit."""
@@ -68,7 +68,7 @@ class VoxelMap:
         touched = np.unique(self._stale[-1])
         gone = self.keys[touched[self.moments[touched, 0] == 0.0]]
         kernels.forget(self.keys, self.moments, self.geometry, gone)  # fitted before: slots move here
-        self._used -= len(gone)
+        self.used -= len(gone)
 
     def _add(self, points: NDArray[np.float64], keyframe: int, sign: float) -> int:
         """How many voxels are new."""
@@ -89,7 +89,7 @@ class VoxelMap:
         slots = np.empty(len(live), np.int64)
         kernels.rehash(self.keys, keys[live], slots)
         self.moments[slots], self._geometry[slots] = moments[live], geometry[live]
-        self._used = len(live)
+        self.used = len(live)
         if stale:
             self._stale.append(slots)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from edge_agent.config import UplinkConfig
 from splitslam.stack import Stack
 from splitslam.stack.reel import Reel
 from splitslam.stack.robot import LightRobot
@@ -39,13 +40,17 @@ def whole(stack: Stack) -> Stack:
     return stack
 
 
+# A busy machine may take longer than the 0.5 s after which a robot tries elsewhere, and tests ask where it goes.
+PATIENT = UplinkConfig(welcome_timeout_s=3.0, watchdog_s=5.0)
+
+
 @pytest.fixture
-def drive(whole: Stack) -> Iterator[Callable[[int], list[LightRobot]]]:
-    """drive(n): that many robots, each with a few answers."""
+def drive(whole: Stack) -> Iterator[Callable[..., list[LightRobot]]]:
+    """drive(n, uplink): that many robots, each with a few answers."""
     robots: list[LightRobot] = []
 
-    def start(count: int) -> list[LightRobot]:
-        fresh = [LightRobot(whole.address, REEL, f"rover-{len(robots) + i}") for i in range(count)]
+    def start(count: int, uplink: UplinkConfig = PATIENT) -> list[LightRobot]:
+        fresh = [LightRobot(whole.address, REEL, f"rover-{len(robots) + i}", uplink=uplink) for i in range(count)]
         robots.extend(fresh)
         for robot in fresh:
             robot.start()
