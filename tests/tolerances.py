@@ -117,5 +117,6 @@ CHAOS_WORSE_M = 0.02
 CHAOS_WORSE_SHARE = 0.10
 # A process that lives on with the same work: caches fill, a leak grows.
 CHAOS_MEMORY_RATIO = 1.3
-# `make chaos` holds gaps in answers to the bars; where other work shares the machine, to their order of size.
+# `make chaos` holds gaps in answers to the bars; `make test` shares the machine and holds their order of size:
+# so many times the bar, and as many again as the load average has processes for each core.
 CHAOS_GAP_SLACK = 3.0

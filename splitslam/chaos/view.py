@@ -106,11 +106,11 @@ def _state(robot: RobotRow) -> tuple[str, str]:
 def _rack(shot: Snapshot) -> RenderableType:
     table = Table(box=None, expand=True, show_header=False, padding=(0, 0, 0, 1))
     table.add_column(width=11, no_wrap=True)
-    table.add_column(width=9, no_wrap=True)
+    table.add_column(width=10, no_wrap=True)
     table.add_column(no_wrap=True)
     for part in shot.parts:
         colour = _WORDS.get(part.word, "")
-        table.add_row(part.name, Text(f"● {part.word}"[:9], colour), Text(part.detail, _DIM))
+        table.add_row(part.name, Text(f"● {part.word}", colour), Text(part.detail, _DIM))
     return Panel(table, title=Text("rack", _DIM), title_align="left", border_style=_DIM, padding=(0, 0))
 
 
