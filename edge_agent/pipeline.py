@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.bare import CarriedMotion, ends
 from edge_agent.dense import DensePolicy
 from edge_agent.features.select import Selector
 from edge_agent.image_node import make_image_node
@@ -37,6 +38,7 @@ class EdgePipeline:
         self.seq = 0
         self.dropped_points = {"duplicate": 0, "ring": 0}
         self.rate = RateControl(settings.rate)
+        self._carried = CarriedMotion(settings.carried)
         self._selector = Selector(settings.features, rings, self.columns)
         self._rings = rings
 
@@ -58,14 +60,21 @@ class EdgePipeline:
         marks = self.image_node.marks(image)
         dense = self.dense.decide(motion.T_prev_lidar)
         blind = motion.gravity_sigma_rad >= NO_IMU_SIGMA_RAD
-        wanted = self._selector.find(image, marks, dense, self.settings.features.without_imu if blind else 1.0)
-        allowed = self.rate.points(scan.stamp_ns, dense, wanted)
+        times = self.settings.features.without_imu if blind else 1.0
+        wanted = self._selector.find(image, marks, dense, times)
+        known = self._carried.may_grow(motion, blind)
+        allowed = self.rate.points(scan.stamp_ns, dense, wanted, known)
+        if dense and not allowed:
+            dense, self.dense.wanted = False, True  # put off
+            wanted = self._selector.find(image, marks, dense, times)
+            allowed = 0 if known else self.rate.points(scan.stamp_ns, dense, wanted)
         clock.lap("features")
 
         # to the Map node
         while True:
             corners, surfs = self._selector.choose(image, marks, dense, allowed / max(wanted, 1))
-            frame = FeatureFrame(self.seq + 1, scan.stamp_ns, dense, replace(motion, knots=knots), corners, surfs)
+            sent = knots if allowed else ends(knots)
+            frame = FeatureFrame(self.seq + 1, scan.stamp_ns, dense, replace(motion, knots=sent), corners, surfs)
             clock.lap("features")
             payload = codec.encode(frame, self.beam_elevations_rad, self.columns, self.settings.step_m)
             clock.lap("encode")
@@ -73,6 +82,7 @@ class EdgePipeline:
                 break
             allowed = int(0.8 * allowed)
         self.rate.sent(scan.stamp_ns, dense, len(corners) + len(surfs), wanted, len(payload))
+        self._carried.went(motion, bare=allowed == 0)
         self.seq += 1
         clock.stop()
         return EncodedFrame(

@@ -1,7 +1,9 @@
 """Rate control: how many features the next frame may carry, so that the uplink keeps its budget.
 
 Time is the recording's. In every window of 5 s the bytes stay below the budget, and close to it while features are
-withheld. Points go before frames: a frame is only left out when not even its motion and a handful of points fit.
+withheld. Points go before frames: a frame is only left out when not even its motion and a handful of points fit. While
+the motion is known well, frames of too few points are worth less than their points put together: some then carry the
+motion alone, and the next one carries what they have saved.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from splitslam.config import Model
 
 WINDOW_NS = 5_000_000_000
 BYTES_PER_KBIT = 125.0
-_LEFT_BY_DENSE = 6  # of the smallest frames: a dense one leaves them room
+_LEFT_S = 0.6  # of frames that carry the motion alone: every other frame leaves them room
+_MOTION_BYTES = 50  # of a payload without points
 
 
 class RateSettings(Model):
@@ -27,12 +30,18 @@ class RateSettings(Model):
         default=0.05, ge=0, le=0.1, description="beyond the ceiling, for frames with the fewest points"
     )
     largest_frame: float = Field(default=0.15, gt=0, le=1, description="of one window, for one frame")
+    largest_first_frame: float = Field(default=0.3, gt=0, le=1, description="the same for those the map begins with")
     backlog_share: float = Field(default=0.7, gt=0, le=1, description="for new frames while old ones wait to be sent")
     horizon_s: float = Field(default=1.5, gt=0, description="in which a window's surplus or lack is evened out")
-    fewest_points: int = Field(default=60, ge=1, description="no frame is worth sending with fewer")
+    worthwhile_points: int = Field(
+        default=500, ge=1, description="fewer are put together with the next frame's, where the motion is known well"
+    )
+    fewest_points: int = Field(default=200, ge=1, description="the same where it is not: fewer do not register")
     fewest_dense_points: int = Field(default=1000, ge=1, description="a keyframe of fewer maps little")
     first_dense_frames: int = Field(
-        default=3, ge=0, description="the map begins with them: whole, if the window allows"
+        default=2,
+        ge=0,
+        description="the map begins with them: whole, if the window allows; a start in motion takes two",
     )
     frame_overhead_bytes: int = Field(
         default=140, ge=0, description="around a payload: envelope, gRPC, HTTP/2, reports"
@@ -43,11 +52,13 @@ class RateSettings(Model):
 class _Kind:
     """Running means of one kind of frame, sparse or dense."""
 
-    fixed_bytes: float
+    bare_bytes: float  # of a frame without points
     bytes_per_point: float
     points: float  # if none were withheld
     per_s: float
     fewest: int
+    fixed_bytes: float  # mean over all frames: those that carry the motion alone are smaller
+    saved_points: int = 0  # allowed to frames that did without
 
     @property
     def least_bytes(self) -> float:
@@ -73,10 +84,10 @@ class RateControl:
         self._dense_frames = 0
         self._sent: deque[tuple[int, int]] = deque()  # (stamp_ns, bytes) of the last window
         self._sum = 0
-        overhead = settings.frame_overhead_bytes
+        bare = 110.0 + settings.frame_overhead_bytes
         self._kinds = {
-            False: _Kind(110.0 + overhead, 2.3, 500.0, 9.0, settings.fewest_points),
-            True: _Kind(110.0 + overhead, 1.2, 5000.0, 1.0, settings.fewest_dense_points),
+            False: _Kind(bare, 2.3, 500.0, 9.0, settings.fewest_points, bare),
+            True: _Kind(bare, 1.2, 5000.0, 1.0, settings.fewest_dense_points, bare),
         }
         self._last_ns: int | None = None
 
@@ -100,20 +111,30 @@ class RateControl:
         """Is there room for a frame at all? If not, the scan is left out before anything is done with it."""
         if self.limit_kbps is None:
             return True
-        return self._kinds[False].least_bytes <= self._room(stamp_ns) + self._spare()
+        return self._motion_bytes <= self._room(stamp_ns) + self._spare()
 
-    def points(self, stamp_ns: int, dense: bool, wanted: int) -> int:
-        """How many of the `wanted` points the frame may carry."""
+    def points(self, stamp_ns: int, dense: bool, wanted: int, motion_known: bool = False) -> int:
+        """How many of the `wanted` points the frame may carry; 0: not enough to be worth it, they are saved up.
+
+        motion_known: well enough that the pose needs no registration yet.
+        """
         kind = self._kinds[dense]
         kind.points += 0.3 * (wanted - kind.points)
         if self.limit_kbps is None:
             return wanted
-        left = self._room(stamp_ns) - (_LEFT_BY_DENSE * self._kinds[False].least_bytes if dense else 0.0)
-        room = (left - kind.fixed_bytes) / kind.bytes_per_point
         first = dense and self._dense_frames < self.settings.first_dense_frames
-        fewest, share = (1.0, 1.0) if first else self._shares(stamp_ns)
-        allowed = min(fewest * kind.fewest + share * (wanted - kind.fewest), room)
-        return min(wanted, max(int(allowed), self.settings.fewest_points))
+        room = int((self._room_for_points(stamp_ns, first) - kind.bare_bytes) / kind.bytes_per_point)
+        if first:
+            return max(min(wanted, room), self.settings.fewest_points)
+        fewest, share = self._shares(stamp_ns)
+        allowed = max(min(int(fewest * kind.fewest + share * (wanted - kind.fewest)), wanted), 0)
+        kind.saved_points = min(kind.saved_points + allowed, wanted)
+        worth = min(self.settings.worthwhile_points if motion_known and not dense else kind.fewest, wanted)
+        points = min(max(kind.saved_points, 0 if motion_known or dense else worth), room)
+        if points < worth:
+            return 0
+        kind.saved_points = 0
+        return points
 
     def fits(self, stamp_ns: int, payload_bytes: int) -> bool:
         """Does an encoded frame fit the window?"""
@@ -130,7 +151,8 @@ class RateControl:
         self._sum += size
         kind = self._kinds[dense]
         if points > 0:
-            kind.bytes_per_point += 0.2 * (max(size - kind.fixed_bytes, 0.0) / points - kind.bytes_per_point)
+            kind.bytes_per_point += 0.2 * (max(size - kind.bare_bytes, 0.0) / points - kind.bytes_per_point)
+        kind.fixed_bytes += 0.1 * ((kind.bare_bytes if points > 0 else size) - kind.fixed_bytes)
         if self._last_ns is not None and stamp_ns > self._last_ns:
             dt = (stamp_ns - self._last_ns) * 1e-9
             for which, other in self._kinds.items():
@@ -153,6 +175,22 @@ class RateControl:
         left = self.settings.ceiling * window - self._used(stamp_ns)
         return min(left, self.settings.largest_frame * window)
 
+    def _room_for_points(self, stamp_ns: int, first: bool) -> float:
+        """The same, when the frames that follow need at least their motion: at a start all of the window's."""
+        s, window_s = self.settings, WINDOW_NS * 1e-9
+        window = self._budget() * window_s
+        rest_s = max(window_s - self._passed_s(stamp_ns), _LEFT_S)
+        left = s.ceiling * window - self._used(stamp_ns) - rest_s * self._kinds[False].per_s * self._motion_bytes
+        return min(left, (s.largest_first_frame if first else s.largest_frame) * window)
+
+    def _passed_s(self, stamp_ns: int) -> float:
+        """Of the window since the run began."""
+        return min((stamp_ns - self._sent[0][0]) * 1e-9 if self._sent else 0.0, WINDOW_NS * 1e-9)
+
+    @property
+    def _motion_bytes(self) -> float:
+        return _MOTION_BYTES + self.settings.frame_overhead_bytes
+
     def _spare(self) -> float:
         """Bytes beyond the ceiling that the smallest frames may take rather than be left out."""
         return self.settings.spare * self._budget() * WINDOW_NS * 1e-9
@@ -162,8 +200,7 @@ class RateControl:
         s, budget = self.settings, self._budget()
         window_s = WINDOW_NS * 1e-9
         lack = s.target * budget * window_s - self._used(stamp_ns)  # of a whole window; none has passed at a start
-        passed_s = min((stamp_ns - self._sent[0][0]) * 1e-9 if self._sent else 0.0, window_s)
-        lack -= s.target * budget * (window_s - passed_s)
+        lack -= s.target * budget * (window_s - self._passed_s(stamp_ns))
         rate = s.target * budget + lack / s.horizon_s
         fixed = sum(kind.per_s * kind.fixed_bytes for kind in self._kinds.values())
         least = sum(kind.per_s * kind.least_bytes for kind in self._kinds.values())

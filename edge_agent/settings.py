@@ -33,6 +33,14 @@ class DenseSettings(Model):
     angle_rad: float = Field(default=0.2, ge=0)
 
 
+class CarriedSettings(Model):
+    """How far the motion alone may carry the pose, frame after frame, by its own account."""
+
+    translation_m: float = Field(default=0.02, ge=0, description="1 sigma")
+    rotation_rad: float = Field(default=0.003, ge=0, description="1 sigma")
+    frames: int = Field(default=9, ge=0, description="in a row")
+
+
 class PipelineSettings(Model):
     """Image and Feature node."""
 
@@ -43,3 +51,4 @@ class PipelineSettings(Model):
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
     rate: RateSettings = RateSettings()
+    carried: CarriedSettings = CarriedSettings()

@@ -102,6 +102,7 @@ def dump(pipeline: MapPipeline) -> bytes:
             "twist": state.twist.tolist(),
             "base_twist": state.base_twist.tolist(),
             "bad_frames": state.bad_frames,
+            "carried_sigma": state.carried_sigma.tolist(),
             "doubt": pipeline.tracker.doubt.dump(),
             "found": pipeline.found,
             "slip": pipeline.drift.slip.tolist(),
@@ -156,6 +157,7 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         np.array(data["base_twist"]),
         int(data["bad_frames"]),
         snapshot.last_seq,
+        carried_sigma=np.array(data.get("carried_sigma", np.zeros(6))),
     )
     if "doubt" in data:  # sessions of the first release have none
         pipeline.tracker.doubt.load(data["doubt"])

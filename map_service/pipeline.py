@@ -54,6 +54,7 @@ class MapPipeline:
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
         self.drift = MapDrift(self.graph.drifts)
         self._map_covariance = np.eye(6) * 1e-8  # of the local map around the robot
+        self._registered_covariance = np.zeros((6, 6))  # of the last scan that had features
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
         self.found = False  # has the robot been lost, and found again, since the last keyframe?
@@ -71,10 +72,11 @@ class MapPipeline:
         if track.first_again is not None:
             self.keyframes.replace_first(*track.first_again)
             self.log.keyframe(self.keyframes[0], self.graph.poses[0])
-        if before is not None and (r := track.registration) is not None:
+        if before is not None and (r := track.registration) is not None and r.features:
             moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
             self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
             self._map_covariance = self.drift.at(track.T_local_lidar, r.keyframes, self.keyframes.T_local)
+            self._registered_covariance = r.covariance
         found = None if track.T_found_carried is None else self._found(track, track.T_found_carried)
         if track.keyframe:
             self._add_keyframe(frame, track)
@@ -120,9 +122,10 @@ class MapPipeline:
     def _covariance(self, track: Track) -> Array:
         """(6, 6) of the pose in the frame of the first one: the map's where it was matched, and the registration's."""
         r = track.registration
-        return (
-            self._map_covariance if r is None else np.asarray(self._map_covariance + self.settings.doubt * r.covariance)
-        )
+        if r is None:
+            return self._map_covariance
+        covariance = r.covariance if r.features else self._registered_covariance + r.covariance
+        return np.asarray(self._map_covariance + self.settings.doubt * covariance)
 
     def _odometry_covariance(self, track: Track, motion: Array) -> Array:
         s = self.settings.graph

@@ -40,7 +40,7 @@ class PipelineStatistics:
             series["total"].append((ended[i] - started[i]) * 1e3)
         if track.registration is not None:
             self.iterations += track.registration.iterations
-            self.degenerate_frames += bool(len(track.registration.degenerate_axes))
+            self.degenerate_frames += bool(track.registration.features and len(track.registration.degenerate_axes))
 
     def report(self, mapped: int, keyframes: int, gnss_rejected: dict, loops_rejected: dict) -> dict:
         """JSON-ready."""

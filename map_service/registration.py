@@ -45,6 +45,12 @@ class RegistrationResult:
     delta_twist: Array
     keyframes: NDArray[np.int64]
 
+    @classmethod
+    def without_features(cls, T_local_lidar: Array, covariance: Array) -> RegistrationResult:
+        """Of a scan that brought none: the pose (4, 4) is the prediction, with its covariance (6, 6)."""
+        nothing = np.zeros((6, 6)), np.eye(6), np.zeros(6), np.zeros(0, np.int64)
+        return cls(T_local_lidar, nothing[0], covariance, True, 0, 0, 0, 0, 0.0, *nothing[1:])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:

@@ -6,7 +6,7 @@ until a rebuild of the local map takes the corrected keyframes over.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ class TrackerState:
     bad_frames: int
     seq: int
     hole_s: float = 0.0  # time bridged by the last twist instead of measured motion
+    carried_sigma: Array = field(default_factory=lambda: np.zeros(6))  # of the motion since the last frame with points
 
 
 class Tracker:
@@ -75,6 +76,8 @@ class Tracker:
         if self.state is None:
             return self._begin(frame)
         state = self._across_a_hole(frame, self.state)
+        if not (frame.dense or len(frame.corners) or len(frame.surfs)):
+            return self._follow(frame, state)
         if self.doubt.state.lost:
             return self._look_around(frame, self.state, state)
         result = self._align(frame, state)
@@ -105,6 +108,33 @@ class Tracker:
         T = state.T_local_lidar @ se3.exp(state.twist * gap_ns * 1e-9)
         return replace(state, T_local_lidar=T, stamp_ns=state.stamp_ns + gap_ns, hole_s=gap_ns * 1e-9)
 
+    def _follow(self, frame: FeatureFrame, state: TrackerState) -> Track:
+        """A frame without points: the edge's motion carries the pose, and the next registration knows how far.
+
+        The sigmas add up: what is wrong is mostly the velocity, the same way all the time.
+        """
+        motion = frame.motion
+        T = state.T_local_lidar @ motion.T_prev_lidar
+        sigma = state.carried_sigma + np.sqrt(np.diagonal(motion.covariance))
+        lost = self.doubt.state.lost
+        covariance = self.doubt.carry(motion.T_prev_lidar, motion.covariance) if lost else np.diag(sigma**2)
+        interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
+        self.state = replace(
+            state,
+            T_local_lidar=T,
+            stamp_ns=frame.stamp_ns,
+            frames=state.frames + 1,
+            twist=se3.log(motion.T_prev_lidar) / interval_s,
+            seq=frame.seq,
+            hole_s=0.0,
+            carried_sigma=sigma,
+        )
+        result = RegistrationResult.without_features(T, covariance)
+        status = State.TRACKING if motion.velocity_known else State.INITIALISING
+        if lost or sigma[3:].max() > self.settings.carried_m:
+            status = State.LOST if lost else State.DEGENERATE
+        return Track(T, result, status, False, frame.corners.points_lidar, frame.surfs.points_lidar)
+
     def _align(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
         motion, s = frame.motion, self.settings
         interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
@@ -115,7 +145,7 @@ class Tracker:
         T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
         floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
         floors = floors + 0.5 * state.hole_s**2 * self._start_accelerations
-        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + floors**2))
+        information = np.diag(1.0 / ((sigmas * interval_s + state.carried_sigma) ** 2 + floors**2))
         prediction = Prediction(
             state.T_local_lidar @ T_prev_lidar, information, interval_s, float(sigmas[:3].max()), sigmas[3:]
         )
@@ -125,7 +155,8 @@ class Tracker:
             _again(frame.surfs, base),
             (_seconds(frame.corners), _seconds(frame.surfs)),
             prediction,
-            self.redeskew and not state.hole_s,  # after a hole the prediction's error says nothing about this scan
+            # after a hole the prediction's error says nothing about this scan
+            self.redeskew and not state.hole_s and not state.carried_sigma.any(),
         )
         return replace(result, delta_twist=result.delta_twist + base)
 
@@ -207,6 +238,7 @@ class Tracker:
             base_twist=np.zeros(6),
             seq=frame.seq,
             hole_s=0.0,
+            carried_sigma=np.zeros(6),
         )
         return Track(T, result, status, False, frame.corners.points_lidar, frame.surfs.points_lidar)
 

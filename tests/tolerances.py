@@ -49,7 +49,7 @@ YARD1_UPLINK_KBPS = 250.0
 YARD1_RATIO_TO_RAW = 150.0
 YARD1_RATIO_TO_NATIVE = 28.0
 KITTI_RING16_UPLINK_KBPS = 500.0
-YARD1_BUDGET_ATE_M = {120: 0.02, 70: 0.03}
+YARD1_BUDGET_ATE_M = {120: 0.01, 70: 0.01}
 BUDGET_OVER = 1.10
 BUDGET_UNDER = 0.70
 # Real time: how much longer than the recording a run by the clock may take.

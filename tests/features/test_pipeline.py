@@ -153,3 +153,24 @@ def test_a_robot_that_does_not_know_where_down_is_sends_more_points():
         assert not frames[-1].dense
         sizes.append(frames[-1].corners + frames[-1].surfs)
     assert sizes[1] > 1.5 * sizes[0]
+
+
+def test_at_a_tight_budget_frames_carry_the_motion_alone_and_then_enough_points_to_register():
+    imu = KnownMotion(turn_radps=0.0, speed_mps=1.0)
+    pipeline = make_pipeline(imu)
+    pipeline.rate.limit_kbps = 60
+    frames = []
+    for k in range(60):
+        scan = made_scan(k % 3)
+        moved = replace(scan, stamp_ns=scan.stamp_ns + k * 100_000_000, end_ns=scan.end_ns + k * 100_000_000)
+        frame = pipeline.process(ScanPacket(moved))
+        frames.append(codec.decode(frame.payload, frame.seq, frame.stamp_ns, frame.dense, ELEVATIONS_RAD))
+        points = frame.corners + frame.surfs
+        assert points == 0 or points >= pipeline.rate.settings.fewest_points
+        if points == 0:
+            assert not frame.dense
+            assert len(frame.payload) < 80
+    sent = np.array([len(f.corners) + len(f.surfs) for f in frames])
+    alone = np.flatnonzero(sent == 0)
+    assert 20 < len(alone) < 50
+    np.testing.assert_allclose(frames[alone[0]].motion.T_prev_lidar, se3.exp(0.1 * imu.twist), atol=2e-4)

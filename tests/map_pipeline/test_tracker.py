@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -105,6 +107,50 @@ def test_with_nothing_to_see_the_edge_s_motion_carries_on_until_lost():
     np.testing.assert_allclose(track.T_local_lidar, before @ np.linalg.matrix_power(STEP, 14), atol=1e-6)
     assert states[0] == State.DEGENERATE
     assert states[-1] == State.LOST
+
+
+def bare(frame: FeatureFrame) -> FeatureFrame:
+    nothing = features(np.zeros((0, 3)))
+    return replace(frame, dense=False, corners=nothing, surfs=nothing)
+
+
+def test_frames_that_carry_the_motion_alone_are_followed_and_the_next_registration_knows_how_far():
+    """The edge's motion is off by 1 mm a scan; every fourth scan has points, and finds the pose again."""
+    tracker, _, _ = drive([1, 2, 3])
+    rng = np.random.default_rng(4)
+    T0 = se3.compose(np.eye(3), np.array([-1.0, -0.5, 1.2]))
+    drift = se3.exp(np.array([0, 0, 0, 0.001, 0, 0]))
+    errors, sigmas = [], []
+    for seq in range(4, 25):
+        T = T0 @ np.linalg.matrix_power(STEP, seq - 1)
+        whole = frame(seq, T, rng)
+        whole = replace(whole, motion=replace(whole.motion, T_prev_lidar=STEP @ drift))
+        track = tracker.process(whole if seq % 4 == 0 else bare(whole))
+        assert track.state == State.TRACKING
+        assert track.registration is not None
+        assert len(track.registration.degenerate_axes) == (0 if seq % 4 == 0 else 6)
+        if track.keyframe:
+            assert seq % 4 == 0
+            tracker.insert(seq, track.T_local_lidar, track.corners_lidar, track.surfs_lidar)
+        errors.append(float(np.linalg.norm((se3.inv(T0 @ track.T_local_lidar) @ T)[:3, 3])))
+        sigmas.append(float(np.sqrt(track.registration.covariance[3, 3])))
+    assert max(errors) < 0.02
+    assert sigmas[1] < sigmas[2] < sigmas[3]  # seq 5, 6, 7
+    assert sigmas[4] < sigmas[1]
+
+
+def test_without_points_for_long_the_pose_is_called_degenerate_and_found_again():
+    tracker, _, _ = drive([1, 2, 3])
+    rng = np.random.default_rng(5)
+    T0 = se3.compose(np.eye(3), np.array([-1.0, -0.5, 1.2]))
+    states = []
+    for seq in range(4, 14):
+        T = T0 @ np.linalg.matrix_power(STEP, seq - 1)
+        whole = frame(seq, T, rng)
+        states.append(tracker.process(whole if seq == 13 else bare(whole)).state)
+    assert states[0] == State.TRACKING
+    assert states[-2] == State.DEGENERATE
+    assert states[-1] == State.TRACKING
 
 
 @pytest.mark.parametrize("redeskew", [True, False])
