@@ -76,7 +76,7 @@ class AgentSink:
             self.outputs.odom(frame.stamp_ns, T_odom_lidar)
         self.keep_run()
         self.report_drops()
-        return frame_message(frame, CODEC_VERSION, self.run_id)
+        return frame_message(frame, CODEC_VERSION)
 
     def on_answer(self, answer: Answer) -> None:
         """The Imu node has the answer."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge_agent.types import EncodedFrame, OdometryReply
 from splitslam import se3
 from splitslam.scan import GnssFix
+from splitslam.trace import trace_id
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 
@@ -46,8 +47,8 @@ def matrix(message: types.Transform) -> NDArray[np.float64]:
     return se3.from_quat(t, q)
 
 
-def frame_message(frame: EncodedFrame, codec_version: int, run_id: str) -> pb.Frame:
-    """An encoded scan as it goes on the wire."""
+def frame_message(frame: EncodedFrame, codec_version: int, run_id: str | None = None) -> pb.Frame:
+    """An encoded scan as it goes on the wire. run_id: only for one that is not the session's, in the trace id."""
     return pb.Frame(
         seq=frame.seq,
         stamp_ns=frame.stamp_ns,
@@ -55,7 +56,7 @@ def frame_message(frame: EncodedFrame, codec_version: int, run_id: str) -> pb.Fr
         codec_version=codec_version,
         payload=frame.payload,
         fixes=[_fix_message(fix) for fix in frame.fixes],
-        trace_id=f"{run_id[:8]}{frame.seq & 0xFFFFFFFF:08x}",
+        trace_id=trace_id(run_id, frame.seq) if run_id else "",
     )
 
 

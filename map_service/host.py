@@ -20,6 +20,7 @@ from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.tally import Tally
+from splitslam.trace import trace_id
 from splitslam.wire import session_pb2 as pb
 
 STORE_RETRY_MS = 500
@@ -230,7 +231,8 @@ class SessionHost:
         assert session.stream is not None
         self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
         if _log.isEnabledFor(logging.DEBUG):
-            fields = {"session": name, "seq": frame.seq, "trace_id": frame.trace_id, "bytes": len(frame.payload)}
+            trace = frame.trace_id or trace_id(session.request.opening.run_id, frame.seq)
+            fields = {"session": name, "seq": frame.seq, "trace_id": trace, "bytes": len(frame.payload)}
             fields |= {"state": session.state.name.lower(), "keyframe": answer.keyframe, "rejected": answer.rejected}
             _log.debug("frame", extra={"fields": fields})
 

@@ -16,6 +16,7 @@ TIME_UNIT_NS = 40_000
 TURN = 1 << 20  # a column, in units of the lattice's phase
 LARGEST = 1 << 24  # steps a coordinate may have: 335 km at 2 cm
 _LATEST = 1 << 17  # corrections of time: 5 s
+_SEAM_LEAST = 16  # smaller ones are jitter
 
 # rows of `points`
 CLASS, COLUMN, LATE, ALONG, ACROSS, UP, INTENSITY = range(7)
@@ -145,15 +146,16 @@ def _code_column(state, data, model, scales, points, i, now):
 
 @borrowing
 def _code_late(state, data, model, points, i, now):
-    """The correction of the time. Where a scan begins and ends the same jump occurs in every ring."""
+    """The correction of the time: jitter, and where a scan begins and ends the same jump in every ring."""
     column = points[COLUMN, i]
     seam = 1 if column - now[_GAP] <= now[_LATE_AT] + 2 and column >= now[_LATE_AT] - 2 else 0
     late, goes_on = np.int64(points[LATE, i]), 1 if now[_LATE] != 0 else 0
     where = block(_SEAM + 1 + seam, _SEAM + 3 + seam + 2 * goes_on, _SEAM + 7 + goes_on, _SEAM)
     if code_flag(state, data, model, where, 1 if late != 0 else 0):
-        where, expected = block(_LATE_BY + 1, _LATE_BY + 2, _LATE_BY + 3, _LATE_BY), now[_LATE_BEFORE]
+        where, expected = block(_LATE_BY + 1, _LATE_BY + 1, _LATE_BY + 2 + seam, _LATE_BY), now[_LATE_BEFORE] * seam
         late = expected + code_number(state, data, model, where, late - expected, True, 1, 2)
-        now[_LATE_AT], now[_LATE_BEFORE] = column, late
+        if abs(late) > _SEAM_LEAST:
+            now[_LATE_AT], now[_LATE_BEFORE] = column, late
     else:
         late = np.int64(0)
     points[LATE, i] = now[_LATE] = late

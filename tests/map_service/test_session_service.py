@@ -152,8 +152,11 @@ def test_metrics_count_frames_by_result_and_time_every_answer(service: Service, 
     assert metrics['splitslam_map_queue_frames{worker="0"}'] == 0
 
 
-def test_the_frame_and_its_trace_id_are_in_the_log(service: Service, connect: Connect) -> None:
+def test_the_frame_and_its_trace_id_are_in_the_log(service: Service, connect: Connect, run_id: str) -> None:
+    """The one that came with it, or the one that both sides make of run and seq."""
     robot = connect(service)
-    for seq in (1, 2):
-        robot.ask(frame(seq))
+    robot.ask(frame(1))
+    robot.ask(frame(2, trace_id=""))
+    robot.ask(frame(3))
     assert f'"trace_id": "{1:016x}"' in service.log
+    assert f'"trace_id": "{run_id[:8]}{2:08x}"' in service.log
