@@ -1,4 +1,4 @@
-"""`splitslam bench delay` on a short made drive: what it writes, and that later answers make no better pose."""
+"""`splitslam bench delay`: what it writes, and that answers 300 ms late are as good as the issue wants."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from splitslam.bench.in_one_process import Network
-from splitslam.sim import simulate
 from tests import tolerances as bars
 from tests.conftest import ROOT
-from tests.sim.drives import SHORT
+
+SCANS = 150
 
 
 def bench(*arguments: object) -> tuple[int, str, str]:
@@ -22,10 +22,9 @@ def bench(*arguments: object) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def test_it_writes_json_and_picture_of_every_delay_and_of_the_imu_node_alone(tmp_path: Path):
-    made = simulate(SHORT, tmp_path)
-    out = tmp_path / "out"
-    exit_code, text, errors = bench(made.bag_path, "--delays", "0,300,700", "--out", out, "--json")
+def test_it_writes_json_and_picture_of_every_delay_and_of_the_imu_node_alone(shared_data: Path, tmp_path: Path):
+    out, yard1 = tmp_path / "out", shared_data / "yard1" / "yard1.bag"
+    exit_code, text, errors = bench(yard1, "--delays", "0,300,700", "--max-scans", SCANS, "--out", out, "--json")
     assert exit_code == 0, errors
     result = json.loads(text)
     assert result == json.loads((out / "delay.json").read_text())
@@ -34,9 +33,10 @@ def test_it_writes_json_and_picture_of_every_delay_and_of_the_imu_node_alone(tmp
     assert list(runs) == [(0, True), (300, True), (700, True), (700, False)]
     assert (result["truth"], result["robot_pose_at"]) == ("given", "IMU rate")
     assert runs[0, True]["alone_s"] == runs[300, True]["alone_s"] == 0
-    assert runs[700, True]["alone_s"] > 0.5
+    assert runs[700, True]["alone_s"] > 10
     assert runs[0, True]["robot_ate_ratio"] == 1.0
-    assert runs[700, False]["robot"]["ate_m"] > runs[0, True]["robot"]["ate_m"]
+    assert runs[300, True]["robot_ate_ratio"] <= bars.DELAY_300_MS_RATIO
+    assert runs[700, False]["robot"]["ate_m"] > 1.3 * runs[700, True]["robot"]["ate_m"]
     assert runs[300, True]["robot"]["n"] > 10 * result["scans"]
     assert max(run["odom_max_m"] for run in runs.values()) <= bars.ODOM_STEP_M
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from edge_agent.metrics import EdgeMetrics, summary
+from edge_agent.odometry.outage import OutageReport
 from edge_agent.rate import RateControl, RateSettings
 from edge_agent.sources.recording import Counts
 from edge_agent.tally import Tally, stage_summaries
@@ -53,6 +54,22 @@ def test_the_deskew_back_end_and_its_troubles_are_on_the_page():
         metrics.close()
     assert page['splitslam_edge_deskew_back_end{name="fpga"}'] == 1
     assert page['splitslam_edge_deskew_troubles_total{cause="timeout"}'] == 3
+
+
+def test_outages_and_their_scans_are_on_the_page():
+    metrics = EdgeMetrics()
+    report = OutageReport(True, 2, 61.5, {"placed": 600, "degenerate": 3, "failed": 1}, 0.02)
+    metrics.outages_from(lambda: report)
+    port = metrics.serve("127.0.0.1", 0)
+    try:
+        page = scrape(port)
+    finally:
+        metrics.close()
+    for result, count in report.scans.items():
+        assert page[f'splitslam_edge_odometry_scans_total{{result="{result}"}}'] == count
+    assert page["splitslam_edge_outages_total"] == 2
+    assert page["splitslam_edge_outage_seconds_total"] == 61.5
+    assert page["splitslam_edge_alone"] == 1
 
 
 def test_a_summary_has_mean_spread_and_percentiles():

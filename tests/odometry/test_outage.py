@@ -130,11 +130,12 @@ def test_answers_that_are_always_late_move_the_map_and_not_the_robot():
     assert np.linalg.norm(in_map[:3, 3]) < 2 * bars.EDGE_ODOMETRY_M
 
 
-def test_a_scan_without_points_is_carried_by_the_imu_and_counted():
+@pytest.mark.parametrize("points", [0, 40])
+def test_a_scan_of_too_few_points_is_carried_by_the_imu_and_counted(points: int):
     outages = Outages(OdometrySettings())
     connected(outages)
     before = alone(outages)[-1]
-    blind = without_points(frame(before.seq + 1))
+    blind = frame(before.seq + 1, points=points) if points else without_points(frame(before.seq + 1))
     (reply,) = outages.on_frame(blind)
     np.testing.assert_allclose(steady(reply), steady(before) @ blind.motion.T_prev_lidar, atol=1e-12)
     np.testing.assert_array_equal(reply.degenerate_axes, np.eye(6))  # the Imu node is not to believe it
