@@ -106,6 +106,7 @@ def main() -> None:
     assert peak < MAX_BYTES, peak
     for kind in KINDS:
         print(f"{kind:9} refused {seen[kind, True]:7}, decoded {seen[kind, False]:7}")
+    print(f"at most {peak / 2**20:.1f} MiB at a time, of the payloads that were traced")
 
 
 if __name__ == "__main__":

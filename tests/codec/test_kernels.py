@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from splitslam import se3
+from splitslam._motion_kernels import vector_of
 from splitslam.codec import (
     _beam_kernels,
     _coder_kernels,
@@ -491,6 +492,15 @@ def test_motion_in_steps_is_the_motion(axis: int, sign: int):
     np.testing.assert_allclose(velocity_mps, m.velocity_lidar_mps, atol=5.1e-4)
     np.testing.assert_allclose(got_down, down, atol=1e-4)
     assert sigma_rad == pytest.approx(m.gravity_sigma_rad, rel=0.05)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-3, 1.0, 2.0, 3.1, np.pi - 1e-7, np.pi])
+def test_a_rotation_of_any_angle_becomes_its_vector(angle_rad: float):
+    for axis in np.vstack([np.eye(3), np.random.default_rng(0).normal(size=(6, 3))]):
+        R, w = se3.so3_exp(angle_rad * axis / np.linalg.norm(axis)), np.empty(3)
+        vector_of(R, w)
+        np.testing.assert_allclose(np.linalg.norm(w), angle_rad, atol=1e-9)
+        np.testing.assert_allclose(se3.so3_exp(w), R, atol=1e-9)
 
 
 def test_motion_that_is_not_finite_or_beyond_all_bounds_is_reported():
