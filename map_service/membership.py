@@ -151,6 +151,8 @@ class Membership:
 
     def leave(self, timeout_s: float) -> None:
         """Takes the row out, so that nobody is sent here any more; waits no longer than that for the store."""
+        if not self._thread.is_alive():  # never started: a store that is not shared
+            return
         self._stop.set()
         leaver = threading.Thread(target=self._delete, name="membership-leave", daemon=True)
         leaver.start()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import threading
 import time
 from pathlib import Path
 
@@ -106,3 +107,10 @@ def test_the_address_is_the_configured_one_or_where_it_listens_as_others_see_it(
     host, _, port = own_address(CONFIG, "0.0.0.0:50051").rpartition(":")
     assert host not in ("", "0.0.0.0")
     assert port == "50051"
+
+
+def test_a_replica_that_shares_its_store_with_nobody_leaves_without_a_word(tmp_path: Path) -> None:
+    store = Store(f"sqlite:///{tmp_path}/map.db")
+    membership(store, 1).leave(5.0)
+    assert not any(thread.name == "membership-leave" for thread in threading.enumerate())
+    store.close()
