@@ -209,7 +209,8 @@ def test_options_beat_the_environment_and_that_beats_the_file(
     assert seen["environment"] == []
     assert seen["server"].startswith("127.0.0.1:")
     assert seen["disable"] == ["loops", "gnss"]
-    assert seen["source"] | {"recording": ""} == {"recording": "", "realtime": True, "max_scans": 7, "queue_scans": 20}
+    source = {"realtime": True, "max_scans": 7, "queue_scans": 20, "began_s": None}
+    assert seen["source"] | {"recording": ""} == {"recording": "", **source}
 
 
 def test_a_given_server_is_used_and_none_is_started(options: RunOptions, tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Kernels against naive twins; also run with NUMBA_DISABLE_JIT=1 (tests/codec/test_without_jit.py)."""
+"""Kernels against naive twins; also run with NUMBA_DISABLE_JIT=1 (tests/test_kernels_without_the_jit.py)."""
 
 from __future__ import annotations
 
