@@ -86,7 +86,8 @@ class Tracker:
             result, first_again = self._bootstrap(frame, state, result)
         self._first = None
         verdict = self.doubt.weigh(Fit.of(result))
-        if verdict != Verdict.TRUSTED and self._is_elsewhere(frame, state, result):
+        unseen = frame.motion.covariance[3:, 3:].diagonal().max() > self.settings.unseen_m**2 and state.frames > 1
+        if (verdict != Verdict.TRUSTED or unseen) and self._is_elsewhere(frame, state, result):
             return self._carry(frame, state, result)
         if verdict == Verdict.REFUSED:
             return self._carry(frame, state, result)
