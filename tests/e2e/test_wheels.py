@@ -42,8 +42,10 @@ def test_in_a_tunnel_the_wheels_carry_the_pose_although_they_slip(tunnel):
     assert error_m < 0.5 * alone.evaluation(truth).end_m
     path_m = float(np.linalg.norm(np.diff([T[:3, 3] for T in aided.T_map_lidar], axis=0), axis=1).sum())
     assert error_m < bars.TUNNEL_DRIFT_SHARE * path_m
-    wheels = aided.outcome.node.wheels_report  # type: ignore[union-attr]
+    wheels, unaided = aided.outcome.node.wheels_report, alone.outcome.node.wheels_report
+    assert wheels is not None
+    assert unaided is not None
     assert wheels["factors"] > 200
     assert 25 <= wheels["slips"] <= 55  # 4.5 s slip, of which the first tenth of a second may pass
     assert aided.jumps["odom_max_m"] < bars.ODOM_STEP_M
-    assert alone.outcome.node.wheels_report["factors"] == 0  # type: ignore[union-attr]
+    assert unaided["factors"] == 0
