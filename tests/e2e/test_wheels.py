@@ -45,7 +45,7 @@ def test_in_a_tunnel_the_wheels_carry_the_pose_although_they_slip(tunnel):
     wheels, unaided = aided.outcome.node.wheels_report, alone.outcome.node.wheels_report
     assert wheels is not None
     assert unaided is not None
-    assert wheels["factors"] > 200
-    assert 25 <= wheels["slips"] <= 55  # 4.5 s slip, of which the first tenth of a second may pass
+    assert (wheels["factors"] or 0) > 200
+    assert 25 <= (wheels["slips"] or 0) <= 55  # 4.5 s slip, of which the first tenth of a second may pass
     assert aided.jumps["odom_max_m"] < bars.ODOM_STEP_M
     assert unaided["factors"] == 0
