@@ -28,11 +28,11 @@ from edge_agent.sources import Recording, Sequencer, open_recording
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
-from edge_agent.wire import WIRE_VERSION
+from edge_agent.wire import EDGE_ONLY, WIRE_VERSION
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
-from splitslam.robot import Robot, load_robot, robot_to_yaml
+from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
@@ -127,7 +127,7 @@ class _Run:
         config = self._config
         return pb.Hello(
             robot_id=robot.robot.id,
-            robot_file_yaml=robot_to_yaml(robot),
+            robot_file_yaml=robot_for_service(robot),
             beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
             wire_version=WIRE_VERSION,
             codec_version=CODEC_VERSION,
@@ -135,7 +135,7 @@ class _Run:
             map_id=config.map_id,
             agent_version=__version__,
             deskew=self._pipeline.image_node.name,
-            disable=list(config.disable),
+            disable=[part for part in config.disable if part != EDGE_ONLY],
             lockstep=not config.source.realtime,
         )
 
