@@ -56,9 +56,7 @@ def recode(payload: bytes, version: int, beam_elevations_rad: NDArray[np.float32
     DecodeError for a payload that cannot be read or a version that nothing writes any more.
     """
     if version != version1.VERSION:
-        raise DecodeError(
-            "version", f"codec version {version} is not written, only {version1.VERSION} and {CODEC_VERSION}"
-        )
+        raise DecodeError("version", f"codec version {version} is not written, only 1 and {CODEC_VERSION}")
     # seq and stamp travel outside; intensities are in the payload where there are any
     frame = decode(payload, 0, 0, True, beam_elevations_rad)
     return version1_encoder.encode(frame, beam_elevations_rad, columns)

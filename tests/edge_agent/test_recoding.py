@@ -31,9 +31,10 @@ def frame(seq: int, payload: bytes = PAYLOAD) -> pb.Frame:
 def sent_to(session: Dialogue, codec_version: int) -> pb.Frame:
     """What a service that reads up to that version gets on a new stream."""
     session.begin(0.0)
-    assert session.next_request(0.0).HasField("hello")
+    hello = session.next_request(0.0)
     session.receive(pb.StreamResponse(welcome=pb.Welcome(codec_version=codec_version)), 0.0)
     request = session.next_request(0.0)
+    assert hello is not None
     assert request is not None
     return request.frame
 
