@@ -28,21 +28,23 @@ from edge_agent.sources import Recording, Sequencer, open_recording
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
-from edge_agent.wire import EDGE_ONLY, WIRE_VERSION
+from edge_agent.watchdog import Watchdog
+from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
+from splitslam.notify import Notifier
 from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
 
 
-def run_agent(config: AgentConfig, stop: threading.Event) -> None:
+def run_agent(config: AgentConfig, stop: threading.Event, notifier: Notifier | None = None) -> None:
     """Runs until the source ends or `stop` is set; then the session stays open, to be resumed.
 
-    `stop` is set in any case when this returns. Raises InputError for what the user can mend; nothing half-written is
-    left behind.
+    notifier: the service manager, told when scans can come, that they do, and of the end. `stop` is set in any case
+    when this returns. Raises InputError for what the user can mend; nothing half-written is left behind.
     """
     robot = _robot(config)
     recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
@@ -59,7 +61,7 @@ def run_agent(config: AgentConfig, stop: threading.Event) -> None:
         outputs = Outputs(config.output.dir) if config.output.dir else None
         if outputs is not None:
             cleanup.callback(outputs.discard)  # does nothing once they are published
-        _Run(config, recording, metrics, outputs, cleanup).run(stop)
+        _Run(config, recording, metrics, outputs, notifier or Notifier({}), cleanup).run(stop)
 
 
 def _robot(config: AgentConfig) -> Robot:
@@ -77,10 +79,11 @@ class _Run:
         recording: Recording,
         metrics: EdgeMetrics,
         outputs: Outputs | None,
+        notifier: Notifier,
         cleanup: ExitStack,
     ) -> None:
         self._config, self._recording, self._metrics, self._outputs = config, recording, metrics, outputs
-        self._cleanup = cleanup
+        self._notifier, self._cleanup = notifier, cleanup
         source, robot = config.source, recording.robot
         beams = recording.beam_elevations_rad
         self._imu = make_imu_node(robot, config.imu)
@@ -88,6 +91,7 @@ class _Run:
         node = self._pipeline.image_node
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
+        notifier.status("compiling kernels, or reading them from the cache")
         warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
@@ -156,11 +160,13 @@ class _Run:
 
     def _run(self, stop: threading.Event) -> None:
         patient = self._store.run.continued or self._config.uplink.connect_timeout_s is None
+        self._notifier.status(f"waiting for the map service at {self._config.server}")
         if not (patient and self._store.says_how_far) and self._uplink.wait_welcome() is None:
             return
         loop = self._loop()
         self._progress.start(self._recording.scan_count)
         self._reader.start()
+        self._watch_over(loop)
         loop.run(self._queue.batches())
         finished = None
         if not stop.is_set() and loop.finish():
@@ -178,8 +184,24 @@ class _Run:
             self._outputs.publish(self._report(finished is None))
         self._progress.end(self._scans_read, self._tally.mapped)
 
+    def _watch_over(self, loop: AgentLoop) -> None:
+        """From now on systemd, if there is one, is told how the run goes."""
+        if not self._notifier.on:
+            return
+
+        def status() -> str:
+            link = "connected" if self._uplink.anchored else "not connected"
+            return f"{state_name(loop.state)}; {link}, {self._uplink.kept} frames kept"
+
+        pulses = (self._reader.pulse, loop.pulse)
+        watchdog = Watchdog(self._notifier, pulses, lambda: self._sink.read, status)
+        self._notifier.ready(f"{status()}; waiting for the first scan")
+        watchdog.start()
+        self._cleanup.callback(watchdog.close)
+
     def _watch(self, stop: threading.Event) -> None:
         stop.wait()
+        self._notifier.stopping("stopping")
         self._reader.stop()
         self._uplink.stop()
 

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.pulse import Pulse
 from edge_agent.sources import Event
 from splitslam.scan import Scan
 
@@ -114,6 +115,7 @@ class Reader(threading.Thread):
         self._stopped = threading.Event()
         self._began_s = began_s if realtime else None
         self.cpu_s = 0.0
+        self.pulse = Pulse("source")
         self.passed_scans = 0
 
     def stop(self) -> None:
@@ -135,11 +137,20 @@ class Reader(threading.Thread):
             error = caught
         self._queue.end(error)
 
+    def _pulled(self) -> Iterator[TimedEvent]:
+        events = iter(self._events)
+        while True:
+            with self.pulse.working():
+                event = next(events, None)
+            if event is None:
+                return
+            yield event
+
     def _read(self) -> None:
         batch: list[TimedEvent] = []
         origin_s: float | None = None
         listening = self._began_s is None
-        for event in self._events:
+        for event in self._pulled():
             self.cpu_s = time.thread_time()
             if self._realtime:
                 now_s = time.monotonic()
