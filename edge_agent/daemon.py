@@ -100,7 +100,10 @@ class _Run:
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
         store = self._store
-        self._uplink = Uplink(config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers)
+        self._uplink = Uplink(
+            config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
+        )
+        metrics.certificate_from(self._uplink.certificate_expires_s)
         self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
         self._after = StartAfter(0, -(2**62))
         self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)

@@ -203,6 +203,11 @@ class EdgeMetrics:
         self._gauge("tcp_sent_bytes", "TCP payload sent, framing included").set_function(sent)
         self._gauge("tcp_received_bytes", "TCP payload received, framing included").set_function(received)
 
+    def certificate_from(self, expires_s: Callable[[], float]) -> None:
+        """Shows when the agent's certificate or its authority's expires."""
+        gauge = self._gauge("certificate_expiry_timestamp_seconds", "The first to expire; NaN: no TLS")
+        gauge.set_function(expires_s)
+
     def serve(self, host: str, port: int) -> int:
         """Opens /metrics and returns its port (0: any free one). Raises InputError when it cannot."""
         try:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import threading
+from typing import get_args
 from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 
+from map_service.callers import Reason
 from map_service.channel import Beat
 from map_service.config import MetricsConfig
 from map_service.types import State
@@ -35,6 +37,15 @@ class ServiceMetrics:
         self.queue_depth = Gauge("splitslam_map_queue_frames", "Frames waiting for an answer", ["worker"], registry=r)
         self.restarts = Counter("splitslam_map_worker_restarts", "Workers that died", registry=r)
         self.refused = self._counter("splitslam_map_refused", "Streams refused", "reason")
+        self.denied = self._counter("splitslam_map_auth_refused", "Calls of who may not, or too often", "reason")
+        for reason in get_args(Reason):
+            self.denied.labels(reason)
+        self.handshakes = Counter("splitslam_map_tls_handshakes", "TLS handshakes begun", registry=r)
+        self.throttled = Counter("splitslam_map_throttled_messages", "Messages that came too fast", registry=r)
+        self.certificate_expiry = Gauge(
+            "splitslam_map_certificate_expiry_timestamp_seconds", "The first to expire; NaN: no TLS", registry=r
+        )
+        self.certificate_expiry.set(float("nan"))
         self.store_bytes = Gauge(
             "splitslam_map_store_bytes", "What the sessions of a site have stored", ["site"], registry=r
         )

@@ -13,6 +13,7 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from map_service.config import ServiceConfig
+from map_service.door import Door
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
 from map_service.housekeeping import Housekeeper
@@ -51,8 +52,10 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     store = Store(config.store, config.store_wait_s)
     metrics = ServiceMetrics()
     pool = WorkerPool(config, engine, metrics)
-    front = EdgeFront(config, pool, metrics)
-    server, checks, address = _build(config, front, SessionFront(store, pool))
+    door = Door(config.tls, metrics)
+    front = EdgeFront(config, pool, metrics, door.callers)
+    sessions = SessionFront(store, pool, door.callers, metrics)
+    server, checks, address = _build(config, front, sessions, door)
     scrape = metrics.serve(config.metrics)
     try:
         starting = asyncio.create_task(pool.start())
@@ -92,7 +95,9 @@ def _shared(config: ServiceConfig, store: Store) -> bool:
     return store.engine.dialect.name != "sqlite" if shared is None else shared
 
 
-def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> tuple[grpc.aio.Server, Any, str]:
+def _build(
+    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, door: Door
+) -> tuple[grpc.aio.Server, Any, str]:
     server = grpc.aio.server(
         options=[
             ("grpc.so_reuseport", 0),  # two services on one port would share the robots at random
@@ -106,12 +111,13 @@ def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> t
     rpc.add_SessionServiceServicer_to_server(sessions, server)
     checks = HealthServicer()
     health_pb2_grpc.add_HealthServicer_to_server(checks, server)
-    reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
+    if not config.tls.on:  # whoever needs the contract behind a door has it from proto/
+        reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
     host, separator, port = config.listen.rpartition(":")
     if not separator or not port.isdigit() or int(port) > 65535:
         raise InputError(f"listen {config.listen!r}: expected HOST:PORT")
     try:
-        bound = server.add_insecure_port(config.listen)
+        bound = door.open(server, config.listen)
     except RuntimeError as error:
         raise InputError(f"listen {config.listen}: cannot be bound (is the port in use?)") from error
     return server, checks, f"{host}:{bound}"
