@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -110,6 +111,9 @@ class ServiceConfig(Model):
     loop_workers: int = Field(default=1, ge=1, le=64, description="processes a worker verifies loops with")
     drain_s: float = Field(default=8.0, gt=0, le=9.0, description="longest graceful drain; the process is gone in 10 s")
     tls: ServerTls = ServerTls()
+    health_socket: Path | None = Field(
+        default=None, description="Unix socket that answers health checks, which behind TLS nobody else can ask"
+    )
     metrics: MetricsConfig = MetricsConfig()
     log: LogConfig = LogConfig()
     limits: LimitsConfig = LimitsConfig()

@@ -13,7 +13,7 @@ _EVERYWHERE = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}  # what a server listens
 
 def problem_with(config: ServiceConfig, server: str | None = None, timeout_s: float = 2.0) -> str | None:
     """Why the service at `server` takes no robots now, or None. server: None: the one with this configuration."""
-    address = server or _own(config.listen)
+    address = server or (f"unix:{config.health_socket.absolute()}" if config.health_socket else _own(config.listen))
     try:
         with grpc.insecure_channel(address) as channel:
             request = health_pb2.HealthCheckRequest(service=_ASKED)

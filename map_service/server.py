@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import signal
+from pathlib import Path
 from typing import Any
 
 import grpc
@@ -57,6 +58,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     sessions = SessionFront(store, pool, door.callers, metrics)
     server, checks, address = _build(config, front, sessions, door)
     scrape = metrics.serve(config.metrics)
+    local = _health_only(config.health_socket, checks)
     try:
         starting = asyncio.create_task(pool.start())
         stopping = asyncio.create_task(stop.wait())
@@ -66,6 +68,8 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
             return
         starting.result()
         await server.start()
+        if local is not None:
+            await local.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
         scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
@@ -82,6 +86,8 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         front.drain(membership.peers)
         await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
+        if local is not None:
+            await local.stop(None)
     finally:
         pool.kill()
         store.close()
@@ -121,6 +127,19 @@ def _build(
     except RuntimeError as error:
         raise InputError(f"listen {config.listen}: cannot be bound (is the port in use?)") from error
     return server, checks, f"{host}:{bound}"
+
+
+def _health_only(socket: Path | None, checks: Any) -> grpc.aio.Server | None:
+    """A second server for whoever is in the same container: it tells health and nothing else."""
+    if socket is None:
+        return None
+    server = grpc.aio.server()
+    health_pb2_grpc.add_HealthServicer_to_server(checks, server)
+    try:
+        server.add_insecure_port(f"unix:{socket.absolute()}")
+    except RuntimeError as error:
+        raise InputError(f"health_socket {socket}: cannot be made (does its folder exist?)") from error
+    return server
 
 
 async def _set_health(checks: Any, status: health_pb2.HealthCheckResponse.ServingStatus) -> None:
