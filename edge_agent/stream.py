@@ -45,6 +45,7 @@ class Stream:
         on_response: Callable[[Stream, pb.StreamResponse], None],
         on_end: Callable[[Stream, str], None],
     ) -> None:
+        self._connector = connector
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
         self.replica = replica
         self._channel = connector.channel(_OPTIONS)
@@ -66,7 +67,7 @@ class Stream:
                     self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
                 self._on_response(self, response)
         except grpc.RpcError as error:
-            reason = _reason(error)
+            reason = f"{_reason(error)}{self._connector.trouble()}"
         except Exception:  # a defect of ours must break the stream loudly, not leave it silent
             _log.exception("uplink reader failed")
             reason = "internal error"
