@@ -243,6 +243,7 @@ def test_a_session_of_a_later_release_is_sent_to_another_replica_and_not_touched
     """In the middle of an upgrade, or of one that is taken back."""
     robot = connect(service)
     robot.ask(frame(1))
+    robot.wait_durable(1)
     service.close()
     with sqlite3.connect(tmp_path / "map.db") as store:
         later = b'{"later": true}'
