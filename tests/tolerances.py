@@ -124,3 +124,6 @@ CHAOS_MEMORY_RATIO = 1.3
 # `make chaos` holds gaps in answers to the bars; `make test` shares the machine and holds their order of size:
 # so many times the bar, and as many again as the load average has processes for each core.
 CHAOS_GAP_SLACK = 3.0
+
+# The rack's processes and a robot, none of which runs, to its first mapped scan: what was asked for (seen: 8 to 14 s).
+RACK_FROM_NOTHING_S = 30.0

@@ -44,7 +44,7 @@ def compose_config(file: Path, given: dict[str, str]) -> subprocess.CompletedPro
     packages = debian.unpacked(*DOCKER_COMPOSE) / "usr/lib/python3/dist-packages"
     run = (
         f"import sys; sys.path.insert(0, {str(packages)!r}); from compose.cli.main import main; "
-        f"sys.argv = ['docker-compose', '--file', {str(file)!r}, '--project-directory', {str(ROOT)!r}, 'config']; main()"
+        f"sys.argv = ['docker-compose', '-f', {str(file)!r}, '--project-directory', {str(ROOT)!r}, 'config']; main()"
     )
     kept = {key: value for key, value in os.environ.items() if key not in GIVEN}
     return subprocess.run(

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -45,8 +46,6 @@ def test_what_is_copied_is_there_and_is_sent_to_the_builder(image: Dockerfile) -
 
 @EACH
 def test_every_package_of_the_wheel_is_copied(image: Dockerfile) -> None:
-    import tomllib
-
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     packages = {
         name.rstrip("*").partition(".")[0] for name in project["tool"]["setuptools"]["packages"]["find"]["include"]
@@ -121,7 +120,7 @@ def test_the_kinds_of_cpu_that_kernels_are_compiled_for_exist(image: Dockerfile)
 def test_kernels_that_were_compiled_at_build_time_are_found_by_a_container_that_can_write_to_tmp_only(
     image: Dockerfile, tmp_path: Path
 ) -> None:
-    """One small kernel, through the entry point itself, with the image's settings; on another CPU it is compiled anew."""
+    """One small kernel, by the entry point and with the image's settings; on another CPU it is compiled anew."""
     own = image.environment()
     built, scratch = tmp_path / "kernels", tmp_path / "tmp" / "kernels"
     settings = {**image.environment("cpu-amd64"), "SPLITSLAM_KERNELS": str(built)}
@@ -131,8 +130,11 @@ def test_kernels_that_were_compiled_at_build_time_are_found_by_a_container_that_
 
     def compiled(*command: str | Path, **more: str) -> int:
         run = (
-            "import json\nfrom splitslam.compile_count import counted\nwith counted() as report:\n"
-            "    import numpy\n    from splitslam import _motion_kernels\n    _motion_kernels.vector_of(numpy.eye(3), numpy.empty(3))\n"
+            "import json, numpy\n"
+            "from splitslam.compile_count import counted\n"
+            "with counted() as report:\n"
+            "    from splitslam._motion_kernels import vector_of\n"
+            "    vector_of(numpy.eye(3), numpy.empty(3))\n"
             "print(json.dumps(report.as_dict()))"
         )
         done = subprocess.run(
