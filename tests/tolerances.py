@@ -127,3 +127,5 @@ CHAOS_GAP_SLACK = 3.0
 
 # The rack's processes and a robot, none of which runs, to its first mapped scan: what was asked for (seen: 8 to 14 s).
 RACK_FROM_NOTHING_S = 30.0
+# A golden frame's points on another CPU: float32 at 100 m has a step of 8 um.
+GOLDEN_M = 2e-5
