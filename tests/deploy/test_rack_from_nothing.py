@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -16,7 +15,8 @@ import yaml
 
 from splitslam.stack.process import StackProcess, wait_until
 from tests import tolerances as bars
-from tests.deploy.native_rack import BIN, NativeRack, fill_kernels
+from tests.deploy.guide import commands, type_in
+from tests.deploy.native_rack import NativeRack, fill_kernels
 
 SCANS = 40
 _FIRST_S, _RUN_S = 90.0, 60.0
@@ -32,22 +32,10 @@ def folder() -> Iterator[Path]:
 
 
 def certificates(folder: Path) -> Path:
-    """The steps of docs/server.md: an authority, and of it what each container needs."""
-    authority, tls = folder / "certs", folder / "tls"
-
-    def certs(*words: str) -> None:
-        command = (BIN / "splitslam", "certs", *words, "--folder", authority)
-        subprocess.run(command, check=True, capture_output=True, timeout=60)
-
-    certs("init", "--fleet", "farm.example")
-    certs("service", "--host", "map_service")
-    certs("envoy", "--host", "127.0.0.1")
-    certs("robot", "yard1", "--site", "north")
-    for name, files in (("service", ("tokens.yaml", "revoked.txt")), ("envoy", ())):
-        (tls / name).mkdir(parents=True)
-        for file in (f"{name}.pem", f"{name}.key", "ca.pem", *files):
-            shutil.copy2(authority / file, tls / name)
-    return tls
+    """The steps of docs/server.md, for a robot called yard1 and a rack on this machine."""
+    script = commands("Certificates").replace("rover-7", "yard1").replace("rack.farm.example", "127.0.0.1")
+    type_in(script, folder)
+    return folder / "tls"
 
 
 def robot(recording: Path, server: str, folder: Path) -> StackProcess:

@@ -96,8 +96,8 @@ class Robot:
     process: subprocess.Popen[bytes]
     log: Path
 
-    def wait_end(self) -> str:
-        assert self.process.wait(RUN_S) == 0, self.log.read_text()
+    def wait_end(self, within_s: float = RUN_S) -> str:
+        assert self.process.wait(within_s) == 0, self.log.read_text()
         return self.log.read_text()
 
 

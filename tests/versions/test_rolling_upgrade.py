@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import lzma
+import sqlite3
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from splitslam import __version__
 from splitslam.evaluate import evaluate
 from splitslam.tum import read_tum
 from tests import tolerances as bars
 from tests.versions import previous
+from tests.versions.make_golden import GOLDEN, poses_of
 from tests.versions.mixed import (
     NEW_AGENT,
     NEW_SERVICE,
@@ -87,3 +94,23 @@ def test_runs_go_on_while_the_services_are_upgraded_one_after_the_other(
         print(f"{name}: handed over after scan {at_old[name].durable_seq}, ATE {error.ate_m * 1e3:.1f} mm")
         assert error.ate_m <= bars.YARD1_ATE_M
     assert "frames are recoded" in (tmp_path / "new-robot.log").read_text()
+
+
+def test_the_way_back_is_open_and_without_it_the_old_release_refuses_in_one_line(tmp_path: Path, ends: list) -> None:
+    store = tmp_path / "map.db"
+    with sqlite3.connect(store) as database:
+        database.executescript(lzma.decompress((GOLDEN / __version__ / "store.sql.xz").read_bytes()).decode())
+    refused = Service(previous.command("map_service"), store, tmp_path / "refused.log")
+    ends.append(refused)
+    assert refused.process.wait(READY_S) == 2
+    assert refused.log.strip() == "store: schema version 2: this service reads version 1"
+
+    command = (*NEW_SERVICE, "store", "migrate", "--to", "1", "--store", f"sqlite:///{store}")
+    subprocess.run(command, check=True, capture_output=True, timeout=READY_S)
+    old = Service(previous.command("map_service"), store, tmp_path / "old.log")
+    ends.append(old)
+    old.wait_ready()
+    known = json.loads((GOLDEN / __version__ / "store.json").read_text())
+    for name, poses in poses_of(old.target).items():
+        np.testing.assert_allclose(poses, known[name], rtol=0, atol=bars.SE3_ROUND_TRIP_M)
+    assert len(known) == 2
