@@ -21,6 +21,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.odometry.outage import Outages
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
+from edge_agent.raw_ring import RawRing
 from edge_agent.reader import EventQueue, Reader, TimedEvent
 from edge_agent.run_store import RunStore
 from edge_agent.sink import AgentSink, Progress
@@ -70,6 +71,11 @@ def _robot(config: AgentConfig) -> Robot:
     return load_robot(config.robot).model_copy(update=off)
 
 
+def _raw_ring(config: AgentConfig) -> RawRing | None:
+    folder = config.raw_ring.dir
+    return RawRing(folder, config.raw_ring) if folder is not None and config.raw_ring.max_bytes else None
+
+
 class _Run:
     """One run's parts, in the order in which they start; `cleanup` takes them apart in the reverse one."""
 
@@ -86,6 +92,10 @@ class _Run:
         self._notifier, self._cleanup = notifier, cleanup
         source, robot = config.source, recording.robot
         beams = recording.beam_elevations_rad
+        ring = _raw_ring(config)
+        if ring is not None:
+            recording.tap = ring.add
+            cleanup.callback(ring.close)
         self._imu = make_imu_node(robot, config.imu)
         self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
         node = self._pipeline.image_node
