@@ -203,6 +203,11 @@ class EdgeMetrics:
         self._gauge("tcp_sent_bytes", "TCP payload sent, framing included").set_function(sent)
         self._gauge("tcp_received_bytes", "TCP payload received, framing included").set_function(received)
 
+    @property
+    def port(self) -> int | None:
+        """Of /metrics, when it is open."""
+        return None if self._server is None else self._server.server_port
+
     def serve(self, host: str, port: int) -> int:
         """Opens /metrics and returns its port (0: any free one). Raises InputError when it cannot."""
         try:

@@ -33,8 +33,8 @@ def install(*arguments: str | Path, path: Path | None = None, **environment: str
     return subprocess.run(command, capture_output=True, text=True, timeout=400, env=known | environment)
 
 
-def installed(*arguments: str | Path, **environment: str) -> str:
-    done = install(*arguments, **environment)
+def installed(*arguments: str | Path) -> str:
+    done = install(*arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
