@@ -111,10 +111,7 @@ def learn(folder: AgentFolder, redactor: Redactor) -> None:
             redactor.environment(dict(pair.split("=", 1) for pair in pairs if "=" in pair), ())
         except OSError:  # another user's
             pass
-    for line in (machine.unit_state(UNIT) or "").splitlines():
-        if line.startswith("Environment="):
-            words = line.partition("=")[2].split()
-            redactor.environment(dict(word.split("=", 1) for word in words if "=" in word), ())
+    redactor.environment(machine.unit_environment(UNIT), ())
 
 
 def collect(folder: AgentFolder, bundle: Bundle, name: str, logs: Sequence[Path], raw: bool) -> list[Check]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
@@ -65,3 +67,16 @@ def tail(path: Path) -> str:
 def unit_state(unit: str) -> str | None:
     """What systemd knows of it: state, restarts, how it ended, its environment."""
     return ask("systemctl", "show", "--no-pager", unit)
+
+
+def unit_environment(unit: str) -> dict[str, str]:
+    """The variables that a unit gives its service, by Environment= and EnvironmentFile=, also of a dead one."""
+    words: list[str] = []
+    for line in (unit_state(unit) or "").splitlines():
+        key, _, value = line.partition("=")
+        if key == "Environment":
+            words += shlex.split(value)
+        elif key == "EnvironmentFiles":
+            with contextlib.suppress(OSError, ValueError):  # not there, or not for us
+                words += shlex.split(Path(value.rpartition(" (")[0]).read_text(), comments=True)
+    return dict(word.split("=", 1) for word in words if "=" in word)
