@@ -28,7 +28,12 @@ _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: t
 
 
 class SessionOverError(InputError):
-    """The session will never take another frame: it was finished, or the service has lost what it had stored."""
+    """The session will never take another frame: it was finished, or the service has lost what it had stored.
+
+    The next start begins a new run, so it is worth starting again, which exit code 2 would not say.
+    """
+
+    exit_code = 75  # EX_TEMPFAIL of sysexits.h
 
 
 class Uplink:
@@ -83,6 +88,12 @@ class Uplink:
         """Whether every frame that is kept would survive the end of this process."""
         with self._changed:
             return self._dialogue.outbox.all_on_disk
+
+    @property
+    def kept(self) -> int:
+        """Frames that are not yet durable and answered."""
+        with self._changed:
+            return len(self._dialogue.outbox)
 
     def send(self, frame: pb.Frame, arrived_s: float | None = None) -> None:
         """Queues a frame (seq above all before). A full buffer drops the oldest that is not dense, and counts it.

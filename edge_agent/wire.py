@@ -32,6 +32,12 @@ class Answer:
     correction_cause: str = ""
 
 
+def state_name(state: int) -> str:
+    """`tracking`, `lost`, ...; the number itself when a later service has another one."""
+    known = types.TrackingState.DESCRIPTOR.values_by_number.get(state)
+    return str(state) if known is None else known.name.removeprefix("TRACKING_STATE_").lower()
+
+
 def transform(T: NDArray[np.float64]) -> types.Transform:
     """(4, 4) -> message."""
     x, y, z, w = se3.quat_from_matrix(T[:3, :3])

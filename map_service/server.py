@@ -24,6 +24,7 @@ from map_service.store import Store
 from map_service.workers import WorkerPool
 from splitslam.errors import InputError
 from splitslam.logs import configure_logs
+from splitslam.notify import Notifier
 from splitslam.wire import session_pb2_grpc as rpc
 
 SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService")
@@ -67,11 +68,15 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         scraped = f"{page.host}:{page.port}" if page else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
+        notifier = Notifier()
+        notifier.ready(f"listening on {address}")
+        living = asyncio.create_task(_give_signs_of_life(notifier))
         membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
         rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
         if _shared(config, store):
             membership.start()
         await stopping
+        notifier.stopping("handing sessions over")
         keeping.cancel()
         _log.info("draining")
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
@@ -79,11 +84,19 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         front.drain(membership.peers)
         await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
+        living.cancel()
     finally:
         pool.kill()
         store.close()
         if page:
             page.close()
+
+
+async def _give_signs_of_life(notifier: Notifier) -> None:
+    """As long as this event loop turns, which is what robots talk to; it watches the workers itself."""
+    while notifier.watchdog_s is not None:
+        notifier.alive()
+        await asyncio.sleep(notifier.watchdog_s / 4)
 
 
 def _shared(config: ServiceConfig, store: Store) -> bool:

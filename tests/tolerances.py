@@ -122,3 +122,7 @@ CHAOS_MEMORY_RATIO = 1.3
 # `make chaos` holds gaps in answers to the bars; `make test` shares the machine and holds their order of size:
 # so many times the bar, and as many again as the load average has processes for each core.
 CHAOS_GAP_SLACK = 3.0
+
+# `systemd-analyze security`: 0 is locked, 10 is open.
+UNIT_EXPOSURE = 3.0
+UNIT_EXPOSURE_FPGA = 6.0
