@@ -30,12 +30,12 @@ from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
 from edge_agent.watchdog import Watchdog
-from edge_agent.wire import WIRE_VERSION, state_name
+from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
 from splitslam.notify import Notifier
-from splitslam.robot import Robot, load_robot, robot_to_yaml
+from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
@@ -111,7 +111,10 @@ class _Run:
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
         store = self._store
-        self._uplink = Uplink(config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers)
+        self._uplink = Uplink(
+            config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
+        )
+        metrics.certificate_from(self._uplink.certificate_expires_s)
         self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
         self._after = StartAfter(0, -(2**62))
         self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)
@@ -144,7 +147,7 @@ class _Run:
         config = self._config
         return pb.Hello(
             robot_id=robot.robot.id,
-            robot_file_yaml=robot_to_yaml(robot),
+            robot_file_yaml=robot_for_service(robot),
             beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
             wire_version=WIRE_VERSION,
             codec_version=CODEC_VERSION,
@@ -152,7 +155,7 @@ class _Run:
             map_id=config.map_id,
             agent_version=__version__,
             deskew=self._pipeline.image_node.name,
-            disable=list(config.disable),
+            disable=[part for part in config.disable if part != EDGE_ONLY],
             lockstep=not config.source.realtime,
         )
 

@@ -10,6 +10,7 @@ from urllib.parse import quote
 import grpc
 
 from edge_agent.ending import Ending
+from splitslam.security.client import Connector
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 
@@ -38,7 +39,7 @@ class Stream:
 
     def __init__(
         self,
-        server: str,
+        connector: Connector,
         hello: pb.Hello,
         replica: str,
         next_request: Callable[[Stream], pb.StreamRequest | None],
@@ -47,8 +48,9 @@ class Stream:
     ) -> None:
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
         self.replica = replica
-        self._channel = grpc.insecure_channel(server, options=_OPTIONS)
-        metadata = ((ROUTE_KEY, route_key(hello)), *(((REPLICA, replica),) if replica else ()))
+        self._channel = connector.channel(_OPTIONS)
+        wish = ((REPLICA, replica),) if replica else ()
+        metadata = ((ROUTE_KEY, route_key(hello)), *wish, *connector.metadata())
         self._call = rpc.EdgeServiceStub(self._channel).Stream(self._requests(), metadata=metadata)
         self._reader = threading.Thread(target=self._read, name="uplink-reader", daemon=True)
         self._reader.start()

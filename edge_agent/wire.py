@@ -15,6 +15,7 @@ from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 
 WIRE_VERSION = 1
+EDGE_ONLY = "wheels"  # a part to disable that the service has not, and that one of 0.1.0 refuses
 
 
 @dataclass(frozen=True, slots=True)

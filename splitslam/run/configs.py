@@ -65,6 +65,8 @@ def _edge(edge: dict[str, Any], options: RunOptions, work: Path) -> dict[str, An
         except ValueError as error:
             raise InputError(f"--server: {error}, found {options.server!r}") from None
         given["server"] = options.server
+    else:
+        given["tls"] = {}  # nobody else is in between
     if options.disable:
         given["disable"] = options.disable
     if options.deskew is not None:
@@ -78,7 +80,7 @@ def _edge(edge: dict[str, Any], options: RunOptions, work: Path) -> dict[str, An
 
 def _map(service: dict[str, Any], work: Path) -> dict[str, Any]:
     """One robot needs one worker. Its log goes nowhere but into an error, so what is routine stays out of it."""
-    own = {"listen": "127.0.0.1:0", "store": f"sqlite:///{work / 'map.db'}"}
+    own = {"listen": "127.0.0.1:0", "store": f"sqlite:///{work / 'map.db'}", "tls": {}}
     return {"workers": 1, "metrics": {"port": None}, "log": {"level": "warning"}, **service, **own}
 
 
