@@ -1,0 +1,46 @@
+"""A drive through the locked door comes out as without it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from splitslam.robot import load_robot
+from splitslam.security.authority import Authority
+from splitslam.security.identity import Identity
+from splitslam.stack import Stack
+from tests.e2e.commands import run
+
+SCANS = 40
+SAME = ("trajectory.tum", "online.tum", "odom.tum", "imu.tum", "map.ply")
+
+
+def test_a_drive_through_mtls_and_two_replicas_has_the_same_result(shared_data: Path, tmp_path: Path) -> None:
+    recording, robot_file = shared_data / "yard1/yard1.bag", shared_data / "yard1/yard1.yaml"
+    authority = Authority.make(tmp_path / "certs", "farm.example", 5)
+    for role in ("service", "envoy"):
+        authority.issue(Identity("farm.example", role), 5, ["127.0.0.1"])  # pyright: ignore[reportArgumentType]
+    robot = authority.issue(Identity("farm.example", "robot", load_robot(robot_file).robot.id, "yard"), 5)
+    tls = {"cert": str(robot.path), "key": str(robot.path.with_suffix(".key")), "ca": str(tmp_path / "certs/ca.pem")}
+    config = tmp_path / "run.yaml"
+    config.write_text(yaml.safe_dump({"edge": {"tls": tls}}))
+    reports = {}
+    for name in ("plain", "locked"):
+        locked = name == "locked"
+        with Stack(tmp_path / f"stack-{name}", replicas=2, tls=authority.folder if locked else None) as stack:
+            options = ["--server", stack.address, "--max-scans", str(SCANS)]
+            options += ["--config", str(config)] if locked else []
+            reports[name] = run(tmp_path / name, recording, *options, robot=robot_file).report
+            if locked:
+                assert stack.envoy.stat(f"listener.127.0.0.1_{stack.envoy.port}.ssl.handshake") >= 2
+                handshakes = [r.metrics()["splitslam_map_tls_handshakes_total"] for r in stack.replicas]
+                assert all(count >= 1 for count in handshakes)
+    for file in SAME:
+        assert (tmp_path / "plain" / file).read_bytes() == (tmp_path / "locked" / file).read_bytes(), file
+    plain, locked = reports["plain"], reports["locked"]
+    assert plain["scans"]["mapped"] == locked["scans"]["mapped"] == SCANS
+    assert plain["uplink"]["payload_sha256"] == locked["uplink"]["payload_sha256"]
+    # TLS and its handshake: records of 22 bytes around each message, certificates once a connection
+    assert 1.0 < locked["uplink"]["bytes"] / plain["uplink"]["bytes"] == pytest.approx(1.0, abs=0.1)
