@@ -46,6 +46,7 @@ class Stream:
         on_response: Callable[[Stream, pb.StreamResponse], None],
         on_end: Callable[[Stream, Ending], None],
     ) -> None:
+        self._connector = connector
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
         self.replica = replica
         self._channel = connector.channel(_OPTIONS)
@@ -67,7 +68,7 @@ class Stream:
                     self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
                 self._on_response(self, response)
         except grpc.RpcError as error:
-            ending = _ending(error)
+            ending = _ending(error, self._connector.trouble())
         except Exception:  # a defect of ours must break the stream loudly, not leave it silent
             _log.exception("uplink reader failed")
             ending = Ending("internal", "internal error")
@@ -80,8 +81,9 @@ class Stream:
         self._channel.close()
 
 
-def _ending(error: grpc.RpcError) -> Ending:
+def _ending(error: grpc.RpcError, trouble: str) -> Ending:
+    """trouble: what the connection had, if anything."""
     if isinstance(error, grpc.Call):
         status = error.code().name
-        return Ending(status.lower(), f"{status}: {error.details()}")
-    return Ending("unknown", str(error))
+        return Ending(status.lower(), f"{status}: {error.details()}{trouble}")
+    return Ending("unknown", f"{error}{trouble}")

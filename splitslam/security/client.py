@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +63,13 @@ class Connector:
                     raise
                 _log.warning("%s; the one of before is used", error)
         return (("authorization", f"{SCHEME}{self._token}"),) if self._token else ()
+
+    def trouble(self) -> str:
+        """What may be wrong on this side when a connection fails: TLS 1.3 does not tell a client why it was refused."""
+        expired_s = self.expires_s
+        if expired_s < time.time():
+            return f" (the certificate expired on {datetime.fromtimestamp(expired_s, UTC):%Y-%m-%d %H:%M} UTC)"
+        return ""
 
     @property
     def expires_s(self) -> float:
