@@ -77,6 +77,20 @@ def warm_up(
     print(json.dumps(fill(robot).as_dict()))
 
 
+@app.command()
+def health(
+    metrics: Annotated[str, typer.Option(metavar="HOST:PORT", help="Its /metrics.")] = "127.0.0.1:9464",
+    timeout_s: Annotated[float, typer.Option(min=0.1, help="How long it may take to answer.")] = 2.0,
+) -> None:
+    """Ask a running agent whether it is well: exit code 0, or 1 and a line that says why not."""
+    from edge_agent.health import problem_with
+
+    problem = problem_with(metrics, timeout_s)
+    if problem is not None:
+        print(problem, file=sys.stderr)
+        raise typer.Exit(1)
+
+
 def main() -> None:
     """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
     try:

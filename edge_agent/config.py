@@ -11,6 +11,7 @@ from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.settings import PipelineSettings
 from splitslam.config import Model
+from splitslam.security.settings import ClientTls
 
 ENVIRONMENT_PREFIX = "SPLITSLAM_EDGE"
 Part = Literal["loops", "gnss", "imu", "wheels"]
@@ -141,6 +142,7 @@ class AgentConfig(Model):
 
     robot: Path
     server: Annotated[str, AfterValidator(_server)] = "127.0.0.1:50051"
+    tls: ClientTls = ClientTls()
     source: SourceConfig
     output: OutputConfig = OutputConfig()
     pipeline: PipelineSettings = PipelineSettings()
@@ -156,3 +158,13 @@ class AgentConfig(Model):
     state_dir: Path | None = None
     site_id: str = ""
     map_id: str = ""
+
+    @property
+    def spools(self) -> bool:
+        """There is a directory for the spool."""
+        return self.spool.dir is not None or self.state_dir is not None
+
+    @model_validator(mode="after")
+    def _not_in_the_clear(self) -> Self:
+        self.tls.check(self.server)
+        return self

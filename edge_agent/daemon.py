@@ -32,12 +32,12 @@ from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
 from edge_agent.watchdog import Watchdog
-from edge_agent.wire import WIRE_VERSION, state_name
+from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
 from splitslam.notify import Notifier
-from splitslam.robot import Robot, load_robot, robot_to_yaml
+from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
@@ -109,12 +109,16 @@ class _Run:
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
+        metrics.spool_limit.set(config.spool.max_bytes if config.spools else 0)
         hello = self._hello(robot)
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
         write_about(config, robot, kernels, metrics.port)
         store = self._store
-        self._uplink = Uplink(config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers)
+        self._uplink = Uplink(
+            config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
+        )
+        metrics.certificate_from(self._uplink.certificate_expires_s)
         self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
         self._after = StartAfter(0, -(2**62))
         self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)
@@ -128,6 +132,8 @@ class _Run:
         self._check = LiveCheck(robot, metrics)
         metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
         metrics.clock_step_sources.append(self._sequencer.times.steps)
+        metrics.imu_from(self._imu_gaps, lambda: self._imu.resets, lambda: self._sequencer.uncovered)
+        metrics.scans_from(self._scans, lambda: dict(self._tally.corrections_by_cause))
         self._sink = AgentSink(
             tally=self._tally,
             outputs=outputs,
@@ -145,7 +151,7 @@ class _Run:
         config = self._config
         return pb.Hello(
             robot_id=robot.robot.id,
-            robot_file_yaml=robot_to_yaml(robot),
+            robot_file_yaml=robot_for_service(robot),
             beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
             wire_version=WIRE_VERSION,
             codec_version=CODEC_VERSION,
@@ -153,7 +159,7 @@ class _Run:
             map_id=config.map_id,
             agent_version=__version__,
             deskew=self._pipeline.image_node.name,
-            disable=list(config.disable),
+            disable=[part for part in config.disable if part != EDGE_ONLY],
             lockstep=not config.source.realtime,
         )
 
@@ -236,7 +242,8 @@ class _Run:
             check=self._check,
             outages=self._outages,
         )
-        return AgentLoop(parts, not self._config.source.realtime, self._after.seq + 1)
+        by_the_clock = self._config.source.realtime
+        return AgentLoop(parts, not by_the_clock, self._after.seq + 1, self._reader.due_s if by_the_clock else None)
 
     def _go_on(self) -> None:
         after, newest, welcome = self._after, self._store.spooled, self._uplink.welcome
@@ -261,6 +268,20 @@ class _Run:
     @property
     def _scans_read(self) -> int:
         return self._recording.counts.scans_read - self._after.skipped - self._reader.passed_scans
+
+    def _scans(self) -> dict[str, int]:
+        tally = self._tally
+        return {
+            "read": self._scans_read,
+            "sent": tally.sent,
+            "mapped": tally.mapped,
+            "rejected": tally.rejected,
+            "replayed": tally.replayed,
+        }
+
+    def _imu_gaps(self) -> tuple[int, float]:
+        gaps = getattr(self._imu, "gaps", None)  # the node of a robot without IMU has none
+        return (0, 0.0) if gaps is None else (gaps.count, gaps.seconds)
 
     def _report(self, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import signal
+from pathlib import Path
 from typing import Any
 
 import grpc
@@ -13,6 +14,7 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from map_service.config import ServiceConfig
+from map_service.door import Door
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
 from map_service.housekeeping import Housekeeper
@@ -50,11 +52,14 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     store = Store(config.store, config.store_wait_s)
-    metrics = ServiceMetrics()
+    metrics = ServiceMetrics(config)
     pool = WorkerPool(config, engine, metrics)
-    front = EdgeFront(config, pool, metrics)
-    server, checks, address = _build(config, front, SessionFront(store, pool))
-    scrape = metrics.serve(config.metrics)
+    door = Door(config.tls, metrics)
+    front = EdgeFront(config, pool, metrics, door.callers)
+    sessions = SessionFront(store, pool, door.callers, metrics)
+    server, checks, address = _build(config, front, sessions, door)
+    page = metrics.serve(config.metrics.host, config.metrics.port)
+    local = _health_only(config.health_socket, checks)
     try:
         starting = asyncio.create_task(pool.start())
         stopping = asyncio.create_task(stop.wait())
@@ -64,8 +69,10 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
             return
         starting.result()
         await server.start()
+        if local is not None:
+            await local.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
-        scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
+        scraped = f"{page.host}:{page.port}" if page else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
         notifier = Notifier()
@@ -85,11 +92,13 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
         living.cancel()
+        if local is not None:
+            await local.stop(None)
     finally:
         pool.kill()
         store.close()
-        if scrape:
-            scrape[0].shutdown()
+        if page:
+            page.close()
 
 
 async def _give_signs_of_life(notifier: Notifier) -> None:
@@ -105,7 +114,9 @@ def _shared(config: ServiceConfig, store: Store) -> bool:
     return store.engine.dialect.name != "sqlite" if shared is None else shared
 
 
-def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> tuple[grpc.aio.Server, Any, str]:
+def _build(
+    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, door: Door
+) -> tuple[grpc.aio.Server, Any, str]:
     server = grpc.aio.server(
         options=[
             ("grpc.so_reuseport", 0),  # two services on one port would share the robots at random
@@ -119,15 +130,29 @@ def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> t
     rpc.add_SessionServiceServicer_to_server(sessions, server)
     checks = HealthServicer()
     health_pb2_grpc.add_HealthServicer_to_server(checks, server)
-    reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
+    if not config.tls.on:  # whoever needs the contract behind a door has it from proto/
+        reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
     host, separator, port = config.listen.rpartition(":")
     if not separator or not port.isdigit() or int(port) > 65535:
         raise InputError(f"listen {config.listen!r}: expected HOST:PORT")
     try:
-        bound = server.add_insecure_port(config.listen)
+        bound = door.open(server, config.listen)
     except RuntimeError as error:
         raise InputError(f"listen {config.listen}: cannot be bound (is the port in use?)") from error
     return server, checks, f"{host}:{bound}"
+
+
+def _health_only(socket: Path | None, checks: Any) -> grpc.aio.Server | None:
+    """A second server for whoever is in the same container: it tells health and nothing else."""
+    if socket is None:
+        return None
+    server = grpc.aio.server()
+    health_pb2_grpc.add_HealthServicer_to_server(checks, server)
+    try:
+        server.add_insecure_port(f"unix:{socket.absolute()}")
+    except RuntimeError as error:
+        raise InputError(f"health_socket {socket}: cannot be made (does its folder exist?)") from error
+    return server
 
 
 async def _set_health(checks: Any, status: health_pb2.HealthCheckResponse.ServingStatus) -> None:
