@@ -207,7 +207,7 @@ class EdgeMetrics:
     @property
     def port(self) -> int | None:
         """Of /metrics, when it is open."""
-        return None if self._server is None else self._server.server_port
+        return None if self._page is None else self._page.port
 
     def serve(self, host: str, port: int) -> int:
         """Opens /metrics and returns its port (0: any free one). Raises InputError when it cannot."""

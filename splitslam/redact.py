@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,8 +16,10 @@ _WORDS = frozenset(
 )
 _SPLIT = re.compile(r"[^a-z0-9]+")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_SUFFIXES = frozenset(("pem", "crt", "cert", "key", "p12", "pfx", "yaml", "json", "txt"))
+_SUFFIXES = frozenset(("pem", "crt", "cert", "key", "p12", "pfx", "token", "yaml", "json", "txt"))
 _SHORTEST = 6  # one that is shorter would take pieces out of every text
+
+_MOST_BYTES = 2**16  # of a file with a key or a token
 
 _URL_USER = re.compile(r"(\b[a-z][a-z0-9+.-]*://)([^/\s@'\"]+)@", re.IGNORECASE)
 _PEM = re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*PRIVATE KEY-----|\Z)", re.DOTALL)
@@ -70,7 +73,9 @@ class Redactor:
             return [self._value(item, secret) for item in value]
         if value is None or isinstance(value, bool):
             return value
-        if secret and not _is_path(value):
+        if secret and _is_path(value):
+            self._learn_file(Path(value))
+        elif secret:
             self._learn(str(value))
             return GONE
         if not isinstance(value, str):
@@ -83,6 +88,12 @@ class Redactor:
         for form in (secret, unquote(secret), *secret.splitlines()):
             if len(form.strip()) >= _SHORTEST:
                 self._known.add(form.strip())
+
+    def _learn_file(self, path: Path) -> None:
+        """What lies where a secret should: each line of it."""
+        with contextlib.suppress(OSError, ValueError):
+            if path.is_file() and path.stat().st_size <= _MOST_BYTES:
+                self._learn(path.read_text())
 
     def text(self, text: str) -> str:
         """The text without what looks like a secret, and without every secret that is known."""

@@ -177,14 +177,14 @@ make_folders() {
 }
 
 fill_kernels() {
-    [[ $KERNELS && ! $SERVICE ]] || return 0
+    [[ $KERNELS ]] || return 0
     local as=() report
     [[ $ROOT ]] || as=(runuser -u $ACCOUNT --)
     run install -d -m 0750 "$CACHE/$VERSION"
     owned "$CACHE/$VERSION"
-    if [[ $DRY ]]; then echo "would: edge-agent warm-up into $CACHE/$VERSION"; return; fi
+    if [[ $DRY ]]; then echo "would: $UNIT warm-up into $CACHE/$VERSION"; return; fi
     say "compiling kernels for this processor: minutes on a small board, once a version"
-    report=$("${as[@]}" env "NUMBA_CACHE_DIR=$CACHE/$VERSION" "$TARGET/bin/edge-agent" warm-up 2>"$BASE/install.log") \
+    report=$("${as[@]}" env "NUMBA_CACHE_DIR=$CACHE/$VERSION" "$TARGET/bin/$UNIT" warm-up 2>"$BASE/install.log") \
         || STATUS=1 die "kernels: $(tail -n1 "$BASE/install.log") (log: $BASE/install.log)"
     say "kernels: $report"
 }

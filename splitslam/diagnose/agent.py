@@ -21,10 +21,12 @@ from splitslam import config as configuration
 from splitslam.diagnose import checks, machine
 from splitslam.diagnose.bundle import Bundle
 from splitslam.diagnose.checks import Check, Verdict
-from splitslam.diagnose.health import service_health
+from splitslam.diagnose.health import certificate, service_health
 from splitslam.diagnose.raw import RawPart, write_raw
 from splitslam.errors import InputError
 from splitslam.redact import Redactor
+from splitslam.security.client import Connector
+from splitslam.security.settings import ClientTls
 
 DEFAULT_STATE = Path("/var/lib/splitslam")
 DEFAULT_CONFIG = Path("/etc/splitslam/edge.yaml")
@@ -205,7 +207,12 @@ def _network(folder: AgentFolder) -> list[Check]:
     server = folder.effective.get("server")
     if not server:
         return [Check("service", Verdict.UNKNOWN, "no address known")]
-    return [checks.reachable("service", *split_server(server)), service_health("service answers", server)]
+    found = [checks.reachable("service", *split_server(server))]
+    try:
+        connector = Connector(server, ClientTls.model_validate(folder.written.get("tls") or {}))
+    except (InputError, ValueError) as error:
+        return [*found, Check("certificate", Verdict.FAIL, " ".join(str(error).split()))]
+    return [*found, *certificate(connector), service_health("service answers", server, connector)]
 
 
 def fetch_metrics(url: str, bundle: Bundle, name: str) -> Check:

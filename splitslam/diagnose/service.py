@@ -7,10 +7,10 @@ from pathlib import Path
 import yaml
 
 from splitslam import config as configuration
+from splitslam.diagnose import checks
 from splitslam.diagnose.agent import fetch_metrics
 from splitslam.diagnose.bundle import Bundle
 from splitslam.diagnose.checks import Check, Verdict
-from splitslam.diagnose.health import service_health
 
 _STORE_S = 3.0
 
@@ -31,7 +31,8 @@ def learn_and_collect(file: Path, bundle: Bundle, name: str) -> list[Check]:
         store = Check("store", Verdict.OK, bundle.redactor.text(f"{config.store}: answers"))
     except InputError as error:
         store = Check("store", Verdict.FAIL, bundle.redactor.text(str(error)))
-    found = [store, service_health("map service", config.listen.replace("0.0.0.0", "127.0.0.1"))]
+    port = config.listen.rpartition(":")[2]
+    found = [store, checks.reachable("map service", "127.0.0.1", int(port))]
     if config.metrics.port:
         found.append(fetch_metrics(f"http://{config.metrics.host}:{config.metrics.port}/metrics", bundle, name))
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import sys
 from collections.abc import Iterator
 from itertools import pairwise
@@ -115,6 +116,27 @@ def test_silent_sensors_are_said_and_are_no_reason_to_end(manager: Manager, serv
     assert log.count("scans come again, after ") == 1
     assert any(status.startswith("no scan for ") for status in manager.statuses())
     assert service.finished
+
+
+def test_the_map_service_is_ready_when_robots_can_connect_and_says_when_it_goes(tmp_path: Path):
+    manager = Manager(tmp_path, EXECUTABLES, WATCHDOG_S, "map-service")
+    (manager.config / "map.yaml").write_text(
+        json.dumps({"listen": "127.0.0.1:0", "store": "sqlite:///map.db", "metrics": {"port": None}, "workers": 1})
+    )
+    try:
+        manager.start()
+        manager.until(lambda: len(manager.with_field("WATCHDOG")) > 3, "no sign of life")
+        (ready,) = manager.with_field("READY")
+        host, _, port = ready.fields["STATUS"].removeprefix("listening on ").rpartition(":")
+        with socket.create_connection((host, int(port)), timeout=5):
+            pass
+        assert (manager.state / "map.db").is_file()
+        manager.send(signal.SIGTERM)
+        assert manager.wait() == 0, manager.log.read_text()[-2000:]
+        assert manager.with_field("STOPPING")
+        assert not manager.aborted
+    finally:
+        manager.close()
 
 
 def test_a_bad_configuration_ends_it_for_good_before_it_is_ready(manager: Manager, shared_data: Path):
