@@ -95,7 +95,7 @@ check_disk() {
     [[ ! $PACKAGES ]] || return 0
     while [[ ! -d $at ]]; do at=$(dirname "$at"); done
     free_mb=$(df -Pm "$at" | awk 'NR == 2 {print $4}')
-    ((free_mb >= NEEDED_MB)) || STATUS=1 die "$at: $free_mb MB are free, expected $NEEDED_MB"
+    ((free_mb >= NEEDED_MB)) || STATUS=1 die "$at: $free_mb MB are free, expected $NEEDED_MB MB"
 }
 
 # --- one version ------------------------------------------------------------------------------------------------------
