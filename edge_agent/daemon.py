@@ -199,7 +199,7 @@ class _Run:
             self._tally.end(self._reader.cpu_s)
         self._uplink.close()
         if self._outputs is not None:
-            self._outputs.publish(self._report(finished is None))
+            self._outputs.publish(self._report(finished is None), self._metrics.page())
         self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch_over(self, loop: AgentLoop) -> None:

@@ -85,6 +85,7 @@ def configure_logs(style: str, level: str, **always: Any) -> None:
     say_always(**always)
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_JsonFormatter() if style == "json" else _ConsoleFormatter())
-    logging.basicConfig(level=level.upper(), handlers=[LogLimit(handler)], force=True)
+    all_of_them = level == "debug"  # who asks for that wants every line
+    logging.basicConfig(level=level.upper(), handlers=[handler if all_of_them else LogLimit(handler)], force=True)
     for noisy in ("numba", "asyncio", "sqlalchemy", "grpc"):  # their own debug lines are not ours to show
         logging.getLogger(noisy).setLevel(max(logging.WARNING, logging.getLevelName(level.upper())))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import json
 import logging
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from splitslam import logs
-from splitslam.log_limit import LogLimit
+from splitslam.log_limit import BURST, LogLimit
 from splitslam.logs import complete, fields
 from splitslam.trace import trace_id
 
@@ -59,17 +60,23 @@ def test_a_trace_id_that_the_agent_gave_is_kept() -> None:
     assert complete({"run_id": RUN, "seq": 1, "trace_id": ""})["trace_id"] == trace_id(RUN, 1)
 
 
-@pytest.mark.parametrize("style", ["json", "console"])
-def test_a_line_stays_one_line_whatever_a_robot_says(
-    style: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
+@pytest.fixture
+def stderr(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
+    """What a process that has configured its logs writes; the test's own are as before afterwards."""
     stream, root = io.StringIO(), logging.getLogger()
     handlers, level = root.handlers[:], root.level
-    request.addfinalizer(lambda: (root.handlers.__setitem__(slice(None), handlers), root.setLevel(level)))
+    root.handlers.clear()  # or the next configuration closes them
     monkeypatch.setattr("sys.stderr", stream)
+    yield stream
+    root.handlers[:] = handlers
+    root.setLevel(level)
+
+
+@pytest.mark.parametrize("style", ["json", "console"])
+def test_a_line_stays_one_line_whatever_a_robot_says(style: str, stderr: io.StringIO) -> None:
     logs.configure_logs(style, "info", replica="10.0.0.1:50051")
     logging.getLogger("map_service.x").warning("refused", extra=fields(run_id=RUN, seq=2, detail='a"\nlevel=error b'))
-    (line,) = stream.getvalue().splitlines()
+    (line,) = stderr.getvalue().splitlines()
     assert trace_id(RUN, 2) in line
     if style == "json":
         parsed = json.loads(line)
@@ -115,9 +122,12 @@ def test_a_flood_that_just_stops_is_said_without_another_line() -> None:
     limit.close()
 
 
-def test_debug_lines_all_pass() -> None:
-    out = Lines()
-    limit = LogLimit(out, burst=1, clock_s=Clock())
+@pytest.mark.parametrize(("level", "printed"), [("debug", 50), ("info", BURST)])
+def test_a_flood_is_printed_to_whom_asks_for_debug_lines_and_to_nobody_else(
+    level: str, printed: int, stderr: io.StringIO
+) -> None:
+    logs.configure_logs("json", level)
     for seq in range(50):
-        limit.handle(record("frame", logging.DEBUG, seq=seq))
-    assert len(out.records) == 50
+        logging.getLogger("map_service.x").info("frame slow", extra=fields(run_id=RUN, seq=seq))
+    assert len(stderr.getvalue().splitlines()) == printed
+    logging.getLogger().handlers[0].close()
