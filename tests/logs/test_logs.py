@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -61,22 +60,22 @@ def test_a_trace_id_that_the_agent_gave_is_kept() -> None:
 
 
 @pytest.fixture
-def stderr(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
-    """What a process that has configured its logs writes; the test's own are as before afterwards."""
-    stream, root = io.StringIO(), logging.getLogger()
+def stderr(capsys: pytest.CaptureFixture[str]) -> Iterator[Callable[[], list[str]]]:
+    """The lines that a process which configures its logs writes; the test's own handlers are as before afterwards."""
+    root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     root.handlers.clear()  # or the next configuration closes them
-    monkeypatch.setattr("sys.stderr", stream)
-    yield stream
+    yield lambda: capsys.readouterr().err.splitlines()
+    root.handlers[0].close()
     root.handlers[:] = handlers
     root.setLevel(level)
 
 
 @pytest.mark.parametrize("style", ["json", "console"])
-def test_a_line_stays_one_line_whatever_a_robot_says(style: str, stderr: io.StringIO) -> None:
+def test_a_line_stays_one_line_whatever_a_robot_says(style: str, stderr: Callable[[], list[str]]) -> None:
     logs.configure_logs(style, "info", replica="10.0.0.1:50051")
     logging.getLogger("map_service.x").warning("refused", extra=fields(run_id=RUN, seq=2, detail='a"\nlevel=error b'))
-    (line,) = stderr.getvalue().splitlines()
+    (line,) = stderr()
     assert trace_id(RUN, 2) in line
     if style == "json":
         parsed = json.loads(line)
@@ -124,10 +123,9 @@ def test_a_flood_that_just_stops_is_said_without_another_line() -> None:
 
 @pytest.mark.parametrize(("level", "printed"), [("debug", 50), ("info", BURST)])
 def test_a_flood_is_printed_to_whom_asks_for_debug_lines_and_to_nobody_else(
-    level: str, printed: int, stderr: io.StringIO
+    level: str, printed: int, stderr: Callable[[], list[str]]
 ) -> None:
     logs.configure_logs("json", level)
     for seq in range(50):
         logging.getLogger("map_service.x").info("frame slow", extra=fields(run_id=RUN, seq=seq))
-    assert len(stderr.getvalue().splitlines()) == printed
-    logging.getLogger().handlers[0].close()
+    assert len(stderr()) == printed
