@@ -36,6 +36,7 @@ from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
+from splitslam.logs import fields, say_always
 from splitslam.notify import Notifier
 from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
@@ -115,6 +116,7 @@ class _Run:
         cleanup.callback(self._store.close)
         write_about(config, robot, kernels, metrics.port)
         store = self._store
+        say_always(robot_id=robot.robot.id, run_id=store.run.value)
         self._uplink = Uplink(
             config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
         )
@@ -201,7 +203,7 @@ class _Run:
             self._tally.end(self._reader.cpu_s)
         self._uplink.close()
         if self._outputs is not None:
-            self._outputs.publish(self._report(finished is None))
+            self._outputs.publish(self._report(finished is None), self._metrics.page())
         self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch_over(self, loop: AgentLoop) -> None:
@@ -255,7 +257,9 @@ class _Run:
         if after.seq:
             self._pipeline.seq, self._tally.first_seq = after.seq, after.seq + 1
             self._pipeline.imu = UnseenMotion(self._imu, after.stamp_ns)
-            _log.warning("run %s continued after scan %d", self._store.run.value, after.seq)
+            _log.warning(
+                "continued after scan %d", after.seq, extra=fields(run_id=self._store.run.value, seq=after.seq)
+            )
 
     def _nothing_usable(self) -> None:
         if self._pipeline.seq == 0:
