@@ -9,11 +9,8 @@ twice, or never, shows in every pose after it.
 from __future__ import annotations
 
 import itertools
-import shutil
-import tempfile
 import threading
 import uuid
-from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
@@ -25,6 +22,7 @@ from map_service.host import SessionHost
 from map_service.settings import PipelineSettings
 from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
+from tests.fuzz.target import scratch
 from tests.map_service.fakes import FakeEngine, payload
 from tests.map_service.harness import frame, hello
 
@@ -36,7 +34,7 @@ class StreamMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.folder = Path(tempfile.mkdtemp(prefix="streams-"))
+        self.folder, self.remove = scratch()
         self.url = f"sqlite:///{self.folder / 'map.db'}"
         self.streams = itertools.count(1)
         self.sent: list[Any] = []
@@ -48,8 +46,9 @@ class StreamMachine(RuleBasedStateMachine):
 
     def start(self) -> None:
         self.store = Store(self.url)
+        engine: Any = FakeEngine(PipelineSettings(), 1)
         config = ServiceConfig(store=self.url, commit=CommitConfig(every_s=1e6))
-        self.host = SessionHost(config, FakeEngine(PipelineSettings(), 1), self.store, self.sent.append)
+        self.host = SessionHost(config, engine, self.store, self.sent.append)
         self.hold()
 
     def hold(self) -> None:
@@ -57,11 +56,14 @@ class StreamMachine(RuleBasedStateMachine):
         self.host._committer.run(self.gate.wait)  # pyright: ignore[reportArgumentType]
 
     def land(self) -> None:
-        """Everything handed over is written, and the session hears of it."""
+        """Everything handed over is written, and the session hears of it and hands over what has come meanwhile."""
         self.gate.set()
-        self.host._committer.run(lambda: None).result(WORST_S)
+        while True:
+            self.host._committer.run(lambda: None).result(WORST_S)
+            self.host.look_after()
+            if not self.host.committing:
+                break
         self.hold()
-        self.host.look_after()
 
     def stop(self) -> None:
         """As a kill does: what the committing thread has not begun is lost."""
@@ -72,7 +74,7 @@ class StreamMachine(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         self.stop()
-        shutil.rmtree(self.folder)
+        self.remove()
 
     # --- what the service is told, and what it says ------------------------------------------------------------
 
@@ -190,6 +192,9 @@ class StreamMachine(RuleBasedStateMachine):
     @rule()
     def frame_that_breaks_the_pipeline(self) -> None:
         """The session goes on from the store; the same frame again is rejected."""
+        if self.applied + 1 in self.host._poison.values():
+            self.take(self.applied + 1, payload("raise"), mapped=False)
+            return
         self.ends(self.ask(frame=frame(self.applied + 1, payload("raise"))), "INTERNAL")
         self.fall_back()
         self.open()

@@ -78,7 +78,15 @@ def robot_files() -> Target:
         robot = robot_from_yaml(data.decode(errors="replace"))
         assert robot_from_yaml(robot_to_yaml(robot)) == robot
 
-    return Target("robot files", lambda rng: mutated(YAMLS, rng), feed, (InputError,))
+    def make(rng: Rng) -> bytes:
+        if rng.random() < 0.7:
+            return mutated(YAMLS, rng)
+        data = bytearray(YAMLS[rng.integers(2)])  # one that reads as before, with another number
+        digits = [at for at, byte in enumerate(data) if chr(byte).isdigit()]
+        data[digits[rng.integers(len(digits))]] = ord(str(rng.integers(10)))
+        return bytes(data)
+
+    return Target("robot files", make, feed, (InputError,))
 
 
 def forwarded() -> Target:
