@@ -136,3 +136,8 @@ class AgentConfig(Model):
     state_dir: Path | None = None
     site_id: str = ""
     map_id: str = ""
+
+    @property
+    def spools(self) -> bool:
+        """There is a directory for the spool."""
+        return self.spool.dir is not None or self.state_dir is not None

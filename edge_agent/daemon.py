@@ -92,6 +92,7 @@ class _Run:
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
+        metrics.spool_limit.set(config.spool.max_bytes if config.spools else 0)
         hello = self._hello(robot)
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
@@ -110,6 +111,8 @@ class _Run:
         self._check = LiveCheck(robot, metrics)
         metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
         metrics.clock_step_sources.append(self._sequencer.times.steps)
+        metrics.imu_from(self._imu_gaps, lambda: self._imu.resets, lambda: self._sequencer.uncovered)
+        metrics.scans_from(self._scans, lambda: dict(self._tally.corrections_by_cause))
         self._sink = AgentSink(
             tally=self._tally,
             outputs=outputs,
@@ -200,7 +203,8 @@ class _Run:
             check=self._check,
             outages=self._outages,
         )
-        return AgentLoop(parts, not self._config.source.realtime, self._after.seq + 1)
+        by_the_clock = self._config.source.realtime
+        return AgentLoop(parts, not by_the_clock, self._after.seq + 1, self._reader.due_s if by_the_clock else None)
 
     def _go_on(self) -> None:
         after, newest, welcome = self._after, self._store.spooled, self._uplink.welcome
@@ -225,6 +229,20 @@ class _Run:
     @property
     def _scans_read(self) -> int:
         return self._recording.counts.scans_read - self._after.skipped - self._reader.passed_scans
+
+    def _scans(self) -> dict[str, int]:
+        tally = self._tally
+        return {
+            "read": self._scans_read,
+            "sent": tally.sent,
+            "mapped": tally.mapped,
+            "rejected": tally.rejected,
+            "replayed": tally.replayed,
+        }
+
+    def _imu_gaps(self) -> tuple[int, float]:
+        gaps = getattr(self._imu, "gaps", None)  # the node of a robot without IMU has none
+        return (0, 0.0) if gaps is None else (gaps.count, gaps.seconds)
 
     def _report(self, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""

@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 import grpc
 
+from edge_agent.ending import Ending
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 
@@ -42,7 +43,7 @@ class Stream:
         replica: str,
         next_request: Callable[[Stream], pb.StreamRequest | None],
         on_response: Callable[[Stream, pb.StreamResponse], None],
-        on_end: Callable[[Stream, str], None],
+        on_end: Callable[[Stream, Ending], None],
     ) -> None:
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
         self.replica = replica
@@ -57,18 +58,18 @@ class Stream:
             yield request
 
     def _read(self) -> None:
-        reason = "ended by the server"
+        ending = Ending("ended_by_server", "ended by the server")
         try:
             for number, response in enumerate(self._call):
                 if number == 0:  # now the proxy's word is there; none: it did as it was told
                     self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
                 self._on_response(self, response)
         except grpc.RpcError as error:
-            reason = _reason(error)
+            ending = _ending(error)
         except Exception:  # a defect of ours must break the stream loudly, not leave it silent
             _log.exception("uplink reader failed")
-            reason = "internal error"
-        self._on_end(self, reason)
+            ending = Ending("internal", "internal error")
+        self._on_end(self, ending)
 
     def close(self) -> None:
         """Cancels what is left and waits for the reader."""
@@ -77,7 +78,8 @@ class Stream:
         self._channel.close()
 
 
-def _reason(error: grpc.RpcError) -> str:
+def _ending(error: grpc.RpcError) -> Ending:
     if isinstance(error, grpc.Call):
-        return f"{error.code().name}: {error.details()}"
-    return str(error)
+        status = error.code().name
+        return Ending(status.lower(), f"{status}: {error.details()}")
+    return Ending("unknown", str(error))

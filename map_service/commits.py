@@ -70,9 +70,9 @@ class Committer:
             self._trying_since_s, self._failing = None, False
         self._tally.count("commits", "ok")
         self._tally.observe("commit_seconds", time.monotonic() - start_s)
-        for factor in entry.commit.factors:
-            if factor.kind in ("loop", "gnss"):
-                self._tally.count("loops" if factor.kind == "loop" else "gnss", "factor")
+        self._tally.observe("commit_bytes", entry.bytes)
+        for (metric, label), count in entry.commit.outcomes.items():
+            self._tally.count(metric, label, by=count)
 
     def _write_until_done(self, key: int, epoch: int, entry: SessionCommit) -> None:
         start_s, wait_s = time.monotonic(), _RETRY_FIRST_S
@@ -110,9 +110,14 @@ class CommitLog:
         return bool(self._pending)
 
     @property
+    def undurable(self) -> int:
+        """Frames applied and not durable."""
+        return self.applied_seq - self.durable_seq
+
+    @property
     def full(self) -> bool:
         """So much is applied and not durable that nothing more may be applied: memory is bounded."""
-        return self.applied_seq - self.durable_seq >= self._config.backlog_frames
+        return self.undurable >= self._config.backlog_frames
 
     def due(self) -> bool:
         """By time or by number of frames, also when the robot stands."""

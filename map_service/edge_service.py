@@ -13,6 +13,7 @@ from google.protobuf.message import DecodeError as WireError
 from map_service.config import ServiceConfig
 from map_service.hello import RefusedError, session_id_of
 from map_service.membership import Peers, as_hint
+from map_service.messages import refusal
 from map_service.metrics import ServiceMetrics
 from map_service.streams import End, RobotStream
 from map_service.workers import WorkerPool, WorkerProcess
@@ -96,8 +97,8 @@ class EdgeFront:
         raise RefusedError(pb.REFUSED_REASON_OVERLOADED, detail, OVERLOADED_RETRY_MS)
 
     def _count_refusal(self, refused: pb.Refused) -> None:
-        reason = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
-        self._metrics.refused.labels(reason).inc()
+        reason = refusal(refused)
+        self._metrics.refused.inc(reason)
         _log.warning("refused", extra={"fields": {"reason": reason, "detail": refused.detail}})
 
     async def _reassure(self, worker: WorkerProcess, stream: RobotStream) -> None:
@@ -124,8 +125,9 @@ class EdgeFront:
     def drain(self, peers: Peers) -> None:
         """No new streams, no more frames; robots will hear where to go once their sessions are handed over."""
         self._draining = True
+        self._metrics.draining.set(1)
         streams = self._pool.streams
         for stream, address in zip_longest(streams, peers.rooms(len(streams)), fillvalue=""):
             assert isinstance(stream, RobotStream)
             stream.leave(pb.Drain(reason=pb.DRAIN_REASON_SHUTDOWN, replica=as_hint(str(address))))
-            self._metrics.drained.labels("shutdown").inc()
+            self._metrics.drained.inc("shutdown")

@@ -11,11 +11,12 @@ from google.protobuf.message import DecodeError as WireError
 
 from map_service.accounts import SessionAccounts
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request, RobotStanding
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
 from map_service.hello import RefusedError, SessionRequest, read_hello
+from map_service.messages import refusal
 from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
@@ -62,6 +63,14 @@ class SessionHost:
             name = "detached" if session.stream is None else session.state.name.lower()
             states[name] = states.get(name, 0) + 1
         return states
+
+    def robots(self) -> list[RobotStanding]:
+        """Each session as it stands, for gauges by robot."""
+        return [session.standing() for session in dict(self.sessions).values()]
+
+    @property
+    def undurable_frames(self) -> int:
+        return sum(session.log.undurable for session in dict(self.sessions).values())
 
     def take_released(self) -> list[str]:
         """Sessions let go since the last call, and not held again."""
@@ -113,7 +122,7 @@ class SessionHost:
             self._attach(session, message.stream)
 
     def _refuse(self, stream: int, refused: pb.Refused) -> None:
-        reason = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
+        reason = refusal(refused)
         self.tally.count("refused", reason)
         _log.warning("refused", extra={"fields": {"reason": reason, "detail": refused.detail}})
         self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))
@@ -144,12 +153,13 @@ class SessionHost:
             return held
         self._drop(request.session_id)
         log = self._committer.log(opened.key, opened.epoch, opened.last_seq)
-        accounts = SessionAccounts(opened.statistics, self._own_cpu_ns)
+        accounts = SessionAccounts(opened.statistics, self.cpu_ns)
         session = Session(request, log, self.engine, self.store, self.tally, accounts)
         self.sessions[request.session_id] = session
         return session
 
-    def _own_cpu_ns(self) -> int:
+    def cpu_ns(self) -> int:
+        """CPU time of this process and its loop verifiers."""
         return time.process_time_ns() + self.engine.pool_cpu_ns()
 
     def _attach(self, session: Session, stream: int) -> None:

@@ -15,9 +15,9 @@ from map_service.config import RetentionConfig, ServiceConfig
 from map_service.database import StoreError
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store
+from splitslam.metrics import OTHER
 
 DAY_S = 86_400.0
-OTHER = "other"
 _LOCK = 0x53504C55  # PostgreSQL's advisory lock of the replica that deletes
 
 _log = logging.getLogger(__name__)
@@ -104,17 +104,17 @@ class Housekeeper:
         try:
             for removed in self._retention.run(time.time()):
                 self._metrics.retention.inc()
-                self._metrics.retention_bytes.inc(removed.bytes)
+                self._metrics.retention_bytes.inc(by=removed.bytes)
             self._measure()
         except StoreError as error:
             _log.warning("housekeeping failed", extra={"fields": {"detail": str(error)}})
 
     def _measure(self) -> None:
         """By site only for those that the configuration names: labels are bounded."""
-        named = {*self._config.quota.sites, *self._config.retention.sites}
+        named = self._metrics.sites
         by_site = dict.fromkeys([*named, OTHER], 0)
         for site, size in self._catalog.bytes_by_site().items():
             by_site[site if site in named else OTHER] += size
         for site, size in by_site.items():
-            self._metrics.store_bytes.labels(site).set(size)
+            self._metrics.store_bytes.set(size, site)
         self._metrics.database_bytes.set(self._store.size_bytes())

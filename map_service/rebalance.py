@@ -68,5 +68,5 @@ class Rebalancer:
         (address,) = peers.rooms(1)
         fields = {"session": stream.session_id, "to": address}
         _log.info("rebalance", extra={"fields": fields})
-        self._metrics.drained.labels("rebalance").inc()
+        self._metrics.drained.inc("rebalance")
         await self._pool.hand_over(stream, pb.Drain(reason=pb.DRAIN_REASON_REBALANCE, replica=as_hint(address)))

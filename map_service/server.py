@@ -49,11 +49,11 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     store = Store(config.store, config.store_wait_s)
-    metrics = ServiceMetrics()
+    metrics = ServiceMetrics(config)
     pool = WorkerPool(config, engine, metrics)
     front = EdgeFront(config, pool, metrics)
     server, checks, address = _build(config, front, SessionFront(store, pool))
-    scrape = metrics.serve(config.metrics)
+    page = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         starting = asyncio.create_task(pool.start())
         stopping = asyncio.create_task(stop.wait())
@@ -64,7 +64,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         starting.result()
         await server.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
-        scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
+        scraped = f"{page.host}:{page.port}" if page else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
         membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
@@ -82,8 +82,8 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     finally:
         pool.kill()
         store.close()
-        if scrape:
-            scrape[0].shutdown()
+        if page:
+            page.close()
 
 
 def _shared(config: ServiceConfig, store: Store) -> bool:

@@ -19,7 +19,7 @@ from map_service.channel import Beat, Close, DrainAll, Drained, Ready, WorkerEnd
 from map_service.config import ServiceConfig
 from map_service.engine import load_engine
 from map_service.host import SessionHost
-from map_service.processes import follow_parent
+from map_service.processes import follow_parent, resident_bytes
 from map_service.store import Store
 from splitslam.logs import configure_logs
 
@@ -107,5 +107,16 @@ class Worker:
     def _beat_now(self) -> Beat:
         host, since_s = self._host, self._job_since_s
         counts, observations = host.tally.take()
-        busy_s = 0.0 if since_s is None else time.monotonic() - since_s
-        return Beat(counts, observations, busy_s, host.durable(), host.states(), host.take_released())
+        return Beat(
+            counts=counts,
+            observations=observations,
+            busy_s=0.0 if since_s is None else time.monotonic() - since_s,
+            durable=host.durable(),
+            sessions=host.states(),
+            released=host.take_released(),
+            robots=host.robots() if host.config.metrics.per_robot else [],
+            queue_messages=self._queue.qsize(),
+            undurable_frames=host.undurable_frames,
+            cpu_s=host.cpu_ns() * 1e-9,
+            resident_bytes=resident_bytes(),
+        )

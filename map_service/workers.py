@@ -26,9 +26,11 @@ from map_service.channel import (
     Ready,
     Reply,
     Request,
+    RobotStanding,
 )
 from map_service.config import ServiceConfig
 from map_service.metrics import ServiceMetrics
+from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
 from map_service.worker import WorkerSpec, worker_main
 from splitslam.wire import session_pb2 as pb
@@ -70,6 +72,8 @@ class WorkerProcess:
         except (asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
+            if self.ready.is_set():
+                self._metrics.workers_ready.of().dec()
             self.ready.clear()
             self._writer.close()
 
@@ -90,8 +94,9 @@ class WorkerProcess:
                     stream.end(grpc.StatusCode[message.status], message.detail)
             case Beat():
                 self.beat_s = time.monotonic()
-                self._metrics.absorb(self.index, message)
-                self._metrics.queue_depth.labels(str(self.index)).set(self.unanswered)
+                self._metrics.absorb(self.index, message, self.unanswered, self.delay_s)
+                if self._metrics.robots is not None:
+                    self._metrics.robots.update(self.index, [self._seen(robot) for robot in message.robots])
                 self._credit(message.durable)
                 self.pinned.difference_update(message.released)
                 if message.busy_s > self._config.limits.stall_s:
@@ -99,6 +104,7 @@ class WorkerProcess:
             case Ready():
                 self.beat_s = time.monotonic()
                 self.ready.set()
+                self._metrics.workers_ready.of().inc()
                 _log.info("worker ready", extra={"fields": {"worker": self.index, "pid": message.pid}})
             case Handed(number, durable_seq):
                 if stream := self.streams.get(number):
@@ -133,6 +139,15 @@ class WorkerProcess:
     @property
     def unanswered(self) -> int:
         return sum(stream.unanswered for stream in self.streams.values())
+
+    @property
+    def delay_s(self) -> float:
+        """How long the oldest frame that waits for its answer has waited."""
+        return max((stream.delay_s for stream in self.streams.values()), default=0.0)
+
+    def _seen(self, robot: RobotStanding) -> RobotSeen:
+        stream = None if robot.stream is None else self.streams.get(robot.stream)
+        return RobotSeen(robot) if stream is None else RobotSeen(robot, stream.unanswered, stream.answered_s)
 
     def kill(self, why: str) -> None:
         _log.error("worker killed", extra={"fields": {"worker": self.index, "why": why}})
@@ -251,7 +266,7 @@ class WorkerPool:
     @property
     def delay_s(self) -> float:
         """How long the oldest frame that waits for its answer has waited."""
-        return max((stream.delay_s for stream in self.streams), default=0.0)
+        return max((worker.delay_s for worker in self._workers), default=0.0)
 
     def is_open(self, session_id: str) -> bool:
         return any(stream.session_id == session_id for stream in self.streams)
