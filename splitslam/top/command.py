@@ -6,7 +6,6 @@ import json
 import math
 import sys
 import time
-from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -19,7 +18,7 @@ from splitslam.chaos.keys import Keys
 from splitslam.errors import InputError
 from splitslam.top.endpoint import Endpoint, read_all
 from splitslam.top.rows import ReplicaRow, RobotRow, Row, Silent, row_of
-from splitslam.top.trouble import Event, Watch
+from splitslam.top.trouble import Journal, Watch
 from splitslam.top.view import EVENTS, MIN_WIDTH, Screen, render
 
 DEFAULT = ("127.0.0.1:9464", "127.0.0.1:9465")  # an agent and a service of this machine, as they are by default
@@ -34,14 +33,16 @@ class Top:
         """Raises InputError for an address that is none."""
         self._endpoints = [Endpoint(address) for address in dict.fromkeys(addresses)]
         self._watches = [Watch(endpoint) for endpoint in self._endpoints]
-        self._events: deque[tuple[str, Event]] = deque(maxlen=EVENTS)
+        self._journal = Journal(EVENTS)
         self._pool = ThreadPoolExecutor(min(_THREADS, len(self._endpoints)), thread_name_prefix="top")
 
     def read(self) -> None:
         """Asks every endpoint once."""
         read_all(self._endpoints, self._pool)
         clock = time.strftime("%H:%M:%S")
-        self._events += [(clock, event) for watch in self._watches for event in watch.events()]
+        for watch in self._watches:
+            for event in watch.events():
+                self._journal.add(clock, event)
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -50,7 +51,7 @@ class Top:
 
     def screen(self, keys: bool = False) -> Screen:
         """What there is to show now."""
-        return Screen(self.rows, tuple(self._events), time.strftime("%H:%M:%S"), keys)
+        return Screen(self.rows, self._journal.lines, time.strftime("%H:%M:%S"), keys)
 
 
 def run_top(addresses: Sequence[str], every_s: float, once: bool, as_json: bool) -> bool:

@@ -15,7 +15,7 @@ from rich.text import Text
 from splitslam.top.rows import ReplicaRow, RobotRow, Row, Silent
 from splitslam.top.trouble import GOOD, GRAVE, LIGHT, Event
 
-MIN_WIDTH, EVENTS = 100, 8
+MIN_WIDTH, EVENTS = 100, 10
 _SPARKS, _SPARK_CELLS = " ▁▂▃▄▅▆▇█", 14
 _OK, _WARN, _BAD, _DIM, _BLUE = "#90e06d", "#f9c74f", "#ff6b6b", "#8a8f98", "#4cc9f0"
 _WEIGHTS = {GRAVE: _BAD, LIGHT: _WARN, GOOD: _OK}
@@ -120,8 +120,8 @@ def _silent(rows: Sequence[Silent]) -> Table:
 
 def _events(events: Sequence[tuple[str, Event]]) -> Table:
     table = Table.grid(padding=(0, 2))
-    for clock, event in events[-EVENTS:]:
-        table.add_row(Text(clock, _DIM), Text(event.who), Text(event.what, _WEIGHTS[event.weight]))
+    for clock, event in events:
+        table.add_row(Text(clock, _DIM), Text(event.who), Text(event.text, _WEIGHTS[event.weight]))
     return table
 
 

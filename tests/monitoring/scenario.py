@@ -30,7 +30,7 @@ from tests.monitoring.prometheus import Prometheus
 
 CALM, SICK = "rover-1", "rover-2"  # the network, disk and process of the first are harmed later, the other's sensors
 _REPLICAS = {"replica": {"beat_s": 0.2, "rest_s": 0.4}, "quota": {"sites": {"yard": 10**9}}}
-_SMALL_SPOOL = {"spool": {"max_bytes": 2**16}, "uplink": {"copies_bytes": 0}}
+_SMALL_SPOOL = {"spool": {"max_bytes": 2**16}, "uplink": {"copies_bytes": 0}, "output": {"dir": None}}
 _BUDGET = {"uplink": {"max_kbps": 60.0}, "pipeline": {"deskew": "fpga"}}
 _ON_A_SICK_BOARD = (sys.executable, "-m", "tests.monitoring.sick_logic")
 _GET_READY_S = 8.0
