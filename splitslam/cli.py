@@ -224,7 +224,7 @@ def top(
         list[str] | None, typer.Argument(metavar="HOST:PORT", help="/metrics of agents and services, or URLs.")
     ] = None,
     every: Annotated[float, typer.Option(metavar="S", help="Seconds between two readings.")] = 2.0,
-    once: Annotated[bool, typer.Option("--once", help="Print one picture and exit; 1 when one gives no answer.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print and exit; 1 when an endpoint gives no answer.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The same as one JSON list.")] = False,
 ) -> None:
     """Edge agents and map services live: state, times, bytes, losses. Without endpoints: those of this machine."""

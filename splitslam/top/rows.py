@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -80,7 +81,7 @@ def state_of(page: Page) -> str:
 
 def _robot(endpoint: Endpoint, span: Span) -> RobotRow:
     page, pages = span.now, list(endpoint.pages)
-    steps = [Span(a, b) for a, b in zip(pages, pages[1:], strict=False)]
+    steps = itertools.starmap(Span, itertools.pairwise(pages))
     return RobotRow(
         name=endpoint.address,
         state=state_of(page),

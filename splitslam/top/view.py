@@ -69,7 +69,9 @@ def _title(
 
 
 def _robots(rows: Sequence[RobotRow]) -> Table:
-    table = _table("robot", "state", "scans/s", "round trip", "p99", "CPU/scan", "uplink kbit/s", "kept", "lost", "breaks")
+    table = _table(
+        "robot", "state", "scans/s", "round trip", "p99", "CPU/scan", "uplink kbit/s", "kept", "lost", "breaks"
+    )
     highest_kbps = max((x for row in rows for x in row.uplinks_kbps if x == x), default=0.0)
     for row in rows:
         uplink = Text(f"{_sparks(row.uplinks_kbps, highest_kbps)} ", _BLUE).append(f"{_number(row.uplink_kbps):>5}", "")

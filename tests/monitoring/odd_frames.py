@@ -16,7 +16,7 @@ _FLOOR_M = -1.3  # what lies lower than this in frame `lidar` is the ground, for
 
 
 def only_the_floor(reel: Reel, after: int) -> Reel:
-    """From frame `after` on the robot sees a plane and nothing else: not where on it, nor which way it looks; soon lost."""
+    """From frame `after` on the robot sees a plane alone: not where on it, nor which way it looks; soon it is lost."""
     beams = np.array(reel.hello.beam_elevations_rad, np.float32)
     frames = [_copy(frame) for frame in reel.frames]
     for frame in frames[after:]:

@@ -60,7 +60,7 @@ def _run(*command: str) -> str | None:
 
 
 class Prometheus(StackProcess):
-    """A server that scrapes `targets` (HOST:PORT by job, labels by target) every second, with the deployment's rules."""
+    """A server that scrapes `targets` (by job: HOST:PORT and its labels) every second, with the rules of that file."""
 
     def __init__(self, folder: Path, targets: dict[str, dict[str, dict[str, str]]], rules: Path | None = None) -> None:
         super().__init__("prometheus", folder / "prometheus.log")

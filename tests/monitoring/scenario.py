@@ -53,8 +53,9 @@ class Watched:
 def watched_fleet(folder: Path, rules: Path) -> Iterator[Watched]:
     """Runs all of it; inside the block Prometheus still answers."""
     with ExitStack() as cleanup:
-        stack, drives, reel = _prepare(folder, cleanup)
+        stack, drives = _prepare(folder, cleanup)
         fleet = _Fleet(folder, stack, drives, cleanup)
+        reel = record(drives[0].recording, drives[0].robot, max_scans=_REEL_SCANS)  # while the agents get ready
         prometheus = cleanup.enter_context(Prometheus(folder, fleet.targets, rules))
         top = Top([*fleet.targets["edge-agent"], *fleet.targets["map-service"]])
         fleet.wait_tracking()
@@ -68,16 +69,15 @@ def watched_fleet(folder: Path, rules: Path) -> Iterator[Watched]:
         yield Watched(prometheus, (calm_s, harmed_s), (harmed_s, time.time()), (calm, top.screen()))
 
 
-def _prepare(folder: Path, cleanup: ExitStack) -> tuple[Stack, tuple[Drive, Drive], Reel]:
+def _prepare(folder: Path, cleanup: ExitStack) -> tuple[Stack, tuple[Drive, Drive]]:
     """The stack starts while the drive is made."""
     pool = cleanup.enter_context(ThreadPoolExecutor(1))
     stack = Stack(folder / "stack", replicas=2, settings=_REPLICAS)
     starting = pool.submit(cleanup.enter_context, stack)
     drive = harmed_drive.make(folder / "drive")
     harmed = harmed_drive.harm(drive, folder / "harmed")
-    reel = record(drive.recording, drive.robot, max_scans=_REEL_SCANS)
     starting.result()
-    return stack, (drive, harmed), reel
+    return stack, (drive, harmed)
 
 
 class _Fleet:
@@ -129,7 +129,7 @@ def _page(agent: Agent) -> Page:
 
 
 def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
-    """The order matters little; what takes time goes on beside the rest."""
+    """What takes time goes on beside the rest; the robots that nobody harms come to an end by themselves."""
     blind = LightRobot(stack.address, odd_frames.only_the_floor(reel, _BLIND_AFTER), "blind")
     crowd = [LightRobot(stack.replicas[0].address, reel, f"crowd-{k}") for k in range(3)]  # not by the proxy: uneven
     for robot in (blind, *crowd):

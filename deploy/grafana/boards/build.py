@@ -9,6 +9,7 @@ from grafana_foundation_sdk.builders import common, dashboard, prometheus, stat,
 from grafana_foundation_sdk.cog.encoder import JSONEncoder
 from grafana_foundation_sdk.models import common as c
 from grafana_foundation_sdk.models import dashboard as d
+from grafana_foundation_sdk.models.prometheus import PromQueryFormat
 
 from deploy.grafana.boards.panel import COLUMNS, Board, Panel, Query, Row, Variable
 
@@ -105,7 +106,7 @@ def _panel(panel: Panel) -> Any:
 def _target(query: Query, ref_id: str, panel: Panel) -> prometheus.Dataquery:
     built = prometheus.Dataquery().expr(query.expr).ref_id(ref_id).datasource(_SOURCE)
     if panel.kind == "table":
-        return built.instant().format("table")
+        return built.instant().format(PromQueryFormat.TABLE)
     return built.range().legend_format(query.legend or "__auto")
 
 
@@ -168,7 +169,9 @@ def _table(panel: Panel) -> table.Panel:
     """One row for each value of `key`, one column for each query."""
     heads = {f"Value #{chr(ord('A') + k)}": query.legend for k, query in enumerate(panel.queries)}
     built = table.Panel().thresholds(_thresholds(None, None, False)).filterable(True)
-    built.with_transformation(d.DataTransformerConfig(id_val="joinByField", options={"byField": panel.key, "mode": "outer"}))
+    built.with_transformation(
+        d.DataTransformerConfig(id_val="joinByField", options={"byField": panel.key, "mode": "outer"})
+    )
     hidden = {f"Time {k + 1}": True for k in range(len(panel.queries))} | {"Time": True}
     options = {"excludeByName": hidden, "renameByName": heads, "indexByName": {}}
     built.with_transformation(d.DataTransformerConfig(id_val="organize", options=options))

@@ -22,10 +22,10 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture. unit: Grafana's id. warn, bad: from where on the value is yellow, red; `low`: below which instead.
+    """One picture. unit: Grafana's id. warn, bad: from there on the value is yellow, red; `low`: below it instead.
 
-    fault: nothing but zero while all is well; a test breaks what it watches and sees it rise. key: of a table, the label
-    that its rows are joined by. link: dashboard that a row of the table leads to.
+    fault: zero while all is well; a test breaks what it watches and sees it rise. key: of a table, the label
+    that its rows are joined by. link: uid of the dashboard that a row of the table leads to.
     """
 
     title: str

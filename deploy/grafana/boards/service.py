@@ -219,7 +219,7 @@ REPLICAS = Row(
         ),
         lines(
             "Refused",
-            "overloaded: capacity. store: the database. unauthenticated, bad_hello, version: that robot's configuration.",
+            "overloaded: capacity. store: the database. others: the robot's configuration.",
             _events("splitslam_map_refused_total", "reason"),
             fault=True,
         ),
