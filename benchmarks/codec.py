@@ -21,12 +21,12 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from benchmarks import codec_version1
 from benchmarks.drives import RECORDED, recorded_files
 from benchmarks.feature_frames import FrameSource
 from benchmarks.peers import PYTHON, ROOT
 from benchmarks.timing import best_cpu_ms
 from splitslam import codec
+from splitslam.codec import version1_encoder
 from splitslam.features import FeatureFrame
 
 _EVERY = {True: 1, False: 4}  # of the dense and of the sparse frames
@@ -86,7 +86,7 @@ def measure(source: FrameSource, step_m: float) -> list[Row]:
         decode = partial(
             codec.decode, seq=frame.seq, stamp_ns=frame.stamp_ns, dense=frame.dense, beam_elevations_rad=beams
         )
-        for method, version in ((METHODS[0], codec.encode), (METHODS[1], codec_version1.encode)):
+        for method, version in ((METHODS[0], codec.encode), (METHODS[1], version1_encoder.encode)):
             encode = partial(version, frame, beams, source.columns, step_m)
             data = encode()
             error_m = np.linalg.norm(points_of(decode(data)) - points, axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import sys
@@ -24,9 +25,13 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def _commands() -> None:
-    """Keeps `run` a command of its own."""
+@app.callback(invoke_without_command=True)
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    if version:
+        from splitslam import __version__
+
+        print(__version__)
+        raise typer.Exit
 
 
 @app.command()
@@ -37,20 +42,53 @@ def run(
     """Run the agent until its source ends or it gets SIGTERM or SIGINT."""
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # gRPC's own lines are not for the robot's operator
     from edge_agent.config import ENVIRONMENT_PREFIX, AgentConfig
+    from edge_agent.service import Reloader, in_service_folders
     from splitslam.config import dump, load
     from splitslam.logs import configure_logs
+    from splitslam.notify import Notifier
 
-    settings = load(AgentConfig, config, ENVIRONMENT_PREFIX)
+    settings = in_service_folders(load(AgentConfig, config, ENVIRONMENT_PREFIX), os.environ)
     if print_config:
         print(dump(settings), end="")
         return
     configure_logs(settings.log.format, settings.log.level)
+    faulthandler.enable()  # systemd's watchdog ends a stuck agent by SIGABRT: then its log says where it was
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    notifier = Notifier()
+    reloading = Reloader(config, settings, notifier)
+    signal.signal(signal.SIGHUP, lambda *_: reloading.ask())
+    reloading.start()
     from edge_agent.daemon import run_agent
 
-    run_agent(settings, stop)
+    run_agent(settings, stop, notifier)
+
+
+@app.command("warm-up")
+def warm_up(
+    robot: Annotated[Path | None, typer.Option(metavar="FILE", help="Robot file; without, a VLP-16 with IMU.")] = None,
+) -> None:
+    """Compile every kernel into the cache, so that no start has to; prints how many there were to compile."""
+    import json
+
+    from edge_agent.kernel_cache import fill
+
+    print(json.dumps(fill(robot).as_dict()))
+
+
+@app.command()
+def health(
+    metrics: Annotated[str, typer.Option(metavar="HOST:PORT", help="Its /metrics.")] = "127.0.0.1:9464",
+    timeout_s: Annotated[float, typer.Option(min=0.1, help="How long it may take to answer.")] = 2.0,
+) -> None:
+    """Ask a running agent whether it is well: exit code 0, or 1 and a line that says why not."""
+    from edge_agent.health import problem_with
+
+    problem = problem_with(metrics, timeout_s)
+    if problem is not None:
+        print(problem, file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def main() -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.settings import PipelineSettings
 from splitslam.config import Model
+from splitslam.security.settings import ClientTls
 
 ENVIRONMENT_PREFIX = "SPLITSLAM_EDGE"
 Part = Literal["loops", "gnss", "imu", "wheels"]
@@ -95,6 +96,25 @@ class SpoolConfig(Model):
     max_bytes: Annotated[int, Field(ge=2**16)] = 2 * 2**30
 
 
+class RawRingConfig(Model):
+    """The last seconds of raw sensor messages, for `splitslam diagnose`; whatever is reached first bounds them.
+
+    dir: should be in memory: a memory card does not want 1 MB/s. null: `raw` in the service's runtime directory;
+    without one none are kept. max_bytes: 60 s of a VLP-16 with an IMU; 0: none are kept.
+    """
+
+    dir: Path | None = None
+    seconds: Positive = 60.0
+    max_bytes: Annotated[int, Field(ge=0)] = 72 * 2**20
+
+    @field_validator("max_bytes")
+    @classmethod
+    def _worth_it(cls, size: int) -> int:
+        if 0 < size < 2**20:
+            raise ValueError("expected 0 or at least 1048576")
+        return size
+
+
 class MetricsConfig(Model):
     """port: null: no /metrics; 0: any free port, which is printed."""
 
@@ -122,6 +142,7 @@ class AgentConfig(Model):
 
     robot: Path
     server: Annotated[str, AfterValidator(_server)] = "127.0.0.1:50051"
+    tls: ClientTls = ClientTls()
     source: SourceConfig
     output: OutputConfig = OutputConfig()
     pipeline: PipelineSettings = PipelineSettings()
@@ -130,6 +151,7 @@ class AgentConfig(Model):
     disable: tuple[Part, ...] = ()
     uplink: UplinkConfig = UplinkConfig()
     spool: SpoolConfig = SpoolConfig()
+    raw_ring: RawRingConfig = RawRingConfig()
     metrics: MetricsConfig = MetricsConfig()
     feed: FeedConfig = FeedConfig()
     log: LogConfig = LogConfig()
@@ -141,3 +163,8 @@ class AgentConfig(Model):
     def spools(self) -> bool:
         """There is a directory for the spool."""
         return self.spool.dir is not None or self.state_dir is not None
+
+    @model_validator(mode="after")
+    def _not_in_the_clear(self) -> Self:
+        self.tls.check(self.server)
+        return self

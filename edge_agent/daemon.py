@@ -21,6 +21,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.odometry.outage import Outages
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
+from edge_agent.raw_ring import RawRing
 from edge_agent.reader import EventQueue, Reader, TimedEvent
 from edge_agent.run_store import RunStore
 from edge_agent.sink import AgentSink, Progress
@@ -28,21 +29,23 @@ from edge_agent.sources import Recording, Sequencer, open_recording
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
-from edge_agent.wire import WIRE_VERSION
+from edge_agent.watchdog import Watchdog
+from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
-from splitslam.robot import Robot, load_robot, robot_to_yaml
+from splitslam.notify import Notifier
+from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
 
 
-def run_agent(config: AgentConfig, stop: threading.Event) -> None:
+def run_agent(config: AgentConfig, stop: threading.Event, notifier: Notifier | None = None) -> None:
     """Runs until the source ends or `stop` is set; then the session stays open, to be resumed.
 
-    `stop` is set in any case when this returns. Raises InputError for what the user can mend; nothing half-written is
-    left behind.
+    notifier: the service manager, told when scans can come, that they do, and of the end. `stop` is set in any case
+    when this returns. Raises InputError for what the user can mend; nothing half-written is left behind.
     """
     robot = _robot(config)
     recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
@@ -59,13 +62,18 @@ def run_agent(config: AgentConfig, stop: threading.Event) -> None:
         outputs = Outputs(config.output.dir) if config.output.dir else None
         if outputs is not None:
             cleanup.callback(outputs.discard)  # does nothing once they are published
-        _Run(config, recording, metrics, outputs, cleanup).run(stop)
+        _Run(config, recording, metrics, outputs, notifier or Notifier({}), cleanup).run(stop)
 
 
 def _robot(config: AgentConfig) -> Robot:
     """The robot as this run uses it: what is switched off is not there."""
     off = {part: None for part in ("imu", "gnss", "wheels") if part in config.disable}
     return load_robot(config.robot).model_copy(update=off)
+
+
+def _raw_ring(config: AgentConfig) -> RawRing | None:
+    folder = config.raw_ring.dir
+    return RawRing(folder, config.raw_ring) if folder is not None and config.raw_ring.max_bytes else None
 
 
 class _Run:
@@ -77,17 +85,23 @@ class _Run:
         recording: Recording,
         metrics: EdgeMetrics,
         outputs: Outputs | None,
+        notifier: Notifier,
         cleanup: ExitStack,
     ) -> None:
         self._config, self._recording, self._metrics, self._outputs = config, recording, metrics, outputs
-        self._cleanup = cleanup
+        self._notifier, self._cleanup = notifier, cleanup
         source, robot = config.source, recording.robot
         beams = recording.beam_elevations_rad
+        ring = _raw_ring(config)
+        if ring is not None:
+            recording.tap = ring.add
+            cleanup.callback(ring.close)
         self._imu = make_imu_node(robot, config.imu)
         self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
         node = self._pipeline.image_node
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
+        notifier.status("compiling kernels, or reading them from the cache")
         warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
@@ -97,7 +111,10 @@ class _Run:
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
         store = self._store
-        self._uplink = Uplink(config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers)
+        self._uplink = Uplink(
+            config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
+        )
+        metrics.certificate_from(self._uplink.certificate_expires_s)
         self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
         self._after = StartAfter(0, -(2**62))
         self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)
@@ -130,7 +147,7 @@ class _Run:
         config = self._config
         return pb.Hello(
             robot_id=robot.robot.id,
-            robot_file_yaml=robot_to_yaml(robot),
+            robot_file_yaml=robot_for_service(robot),
             beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
             wire_version=WIRE_VERSION,
             codec_version=CODEC_VERSION,
@@ -138,7 +155,7 @@ class _Run:
             map_id=config.map_id,
             agent_version=__version__,
             deskew=self._pipeline.image_node.name,
-            disable=list(config.disable),
+            disable=[part for part in config.disable if part != EDGE_ONLY],
             lockstep=not config.source.realtime,
         )
 
@@ -159,11 +176,13 @@ class _Run:
 
     def _run(self, stop: threading.Event) -> None:
         patient = self._store.run.continued or self._config.uplink.connect_timeout_s is None
+        self._notifier.status(f"waiting for the map service at {self._config.server}")
         if not (patient and self._store.says_how_far) and self._uplink.wait_welcome() is None:
             return
         loop = self._loop()
         self._progress.start(self._recording.scan_count)
         self._reader.start()
+        self._watch_over(loop)
         loop.run(self._queue.batches())
         finished = None
         if not stop.is_set() and loop.finish():
@@ -181,8 +200,24 @@ class _Run:
             self._outputs.publish(self._report(finished is None))
         self._progress.end(self._scans_read, self._tally.mapped)
 
+    def _watch_over(self, loop: AgentLoop) -> None:
+        """From now on systemd, if there is one, is told how the run goes."""
+        if not self._notifier.on:
+            return
+
+        def status() -> str:
+            link = "connected" if self._uplink.anchored else "not connected"
+            return f"{state_name(loop.state)}; {link}, {self._uplink.kept} frames kept"
+
+        pulses = (self._reader.pulse, loop.pulse)
+        watchdog = Watchdog(self._notifier, pulses, lambda: self._sink.read, status)
+        self._notifier.ready(f"{status()}; waiting for the first scan")
+        watchdog.start()
+        self._cleanup.callback(watchdog.close)
+
     def _watch(self, stop: threading.Event) -> None:
         stop.wait()
+        self._notifier.stopping("stopping")
         self._reader.stop()
         self._uplink.stop()
 

@@ -13,6 +13,7 @@ from edge_agent.ending import Ending
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.outbox import Outbox
 from edge_agent.pacer import Pacer
+from edge_agent.recoding import Recoding
 from edge_agent.spool import Spool
 from edge_agent.wire import Answer, answer
 from splitslam.wire import session_pb2 as pb
@@ -58,6 +59,7 @@ class Dialogue:
         self.replica = ""  # where the service wants the next stream to go
         self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
         self._pacer = Pacer()
+        self._recoding = Recoding(hello)
         self._settings, self._metrics, self._spool = settings, metrics, spool
         if spool is not None:
             metrics.spool_error_sources.append(spool.errors)
@@ -119,7 +121,7 @@ class Dialogue:
                 self._metrics.scan_age.observe(now_s - arrived_s)
             if stream.waiting_since_s is None:
                 stream.waiting_since_s = now_s
-            return pb.StreamRequest(frame=frame)
+            return pb.StreamRequest(frame=self._recoding.readable(frame))
         if self.bye is not None and self.outbox.first_unanswered() is None:
             stream.bye_sent = True
             return pb.StreamRequest(bye=self.bye)
@@ -195,6 +197,7 @@ class Dialogue:
             )
             return
         self.stream.welcomed = True
+        self._recoding.on_welcome(welcome)
         self._reported = ({}, 0)  # counts since the run began: saying them again is no harm
         self._report_s = float("-inf")
         self._metrics.connects.inc()

@@ -11,6 +11,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.spool import RunFolder, SpoolFolder
 from edge_agent.uplink import SessionOverError, Uplink
 from splitslam.errors import InputError
+from splitslam.security.settings import ClientTls
 
 _SHARE = 0.3  # of a limited uplink; live frames keep to their backlog share meanwhile
 _log = logging.getLogger(__name__)
@@ -23,12 +24,14 @@ class Leftovers:
     (finished by somebody else, or lost by the service); else it stays, as the service may think otherwise later.
     """
 
-    def __init__(self, folder: SpoolFolder, run_id: str, server: str, settings: UplinkConfig) -> None:
+    def __init__(
+        self, folder: SpoolFolder, run_id: str, server: str, settings: UplinkConfig, tls: ClientTls | None = None
+    ) -> None:
         """run_id: the new run."""
         self.errors: Counter[str] = Counter()
         limit_kbps = None if settings.max_kbps is None else settings.max_kbps * _SHARE
         self._settings = settings.model_copy(update={"max_kbps": limit_kbps, "reconnect_timeout_s": None})
-        self._folder, self._server = folder, server
+        self._folder, self._server, self._tls = folder, server, tls
         self._runs = folder.others(run_id)
         self._closing = False
         self._lock = threading.Lock()
@@ -71,7 +74,7 @@ class Leftovers:
         frames, newest = len(spool), spool.recovered.newest
         metrics = EdgeMetrics(keep=False)
         metrics.drop_sources.append(Counter(run.dropped))
-        uplink = Uplink(self._server, hello, self._settings, metrics, spool)
+        uplink = Uplink(self._server, hello, self._settings, metrics, spool, tls=self._tls)
         with self._lock:
             if self._closing:
                 spool.close()

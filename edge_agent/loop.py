@@ -7,7 +7,7 @@ By the clock: answers are applied as they come and nobody waits.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from edge_agent.dense import DensePolicy
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.odometry.outage import Correction, Outages
+from edge_agent.pulse import Pulse
 from edge_agent.rate import RateControl
 from edge_agent.reader import TimedEvent
 from edge_agent.sources import Event
@@ -97,7 +98,10 @@ class Check(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What the loop drives. check: looks on. outages: None: without answers there is only the Imu node."""
+    """What the loop drives. check: looks on. outages: None: without answers there is only the Imu node.
+
+    pulse: of the thread that runs the loop.
+    """
 
     sequencer: Sequencer
     imu: Imu
@@ -107,6 +111,7 @@ class Parts:
     metrics: EdgeMetrics
     check: Check | None = None
     outages: Outages | None = None
+    pulse: Pulse = field(default_factory=lambda: Pulse("pipeline"))
 
 
 class AgentLoop:
@@ -123,27 +128,34 @@ class AgentLoop:
         self._answered_ns: int | None = None
         self._now_ns = 0  # of the newest scan or IMU-rate pose
         self.stopped = False
+        self.pulse = parts.pulse
 
     def run(self, batches: Iterable[list[TimedEvent]]) -> None:
         """Until the batches end or the uplink is stopped. Then every frame is answered, unless stopped."""
         parts = self._parts
         for batch in batches:
-            if not self._lockstep:
-                self._apply_answers(None)
-            items: list[Item] = []
-            for arrival_ns, event in batch:
-                if parts.check is not None:
-                    parts.check.on_event(event)
-                items += parts.sequencer.push(event, arrival_ns)
-            parts.metrics.heard({_STREAMS[type(event)] for _, event in batch})
-            self._take(items)
+            with parts.pulse.working():
+                self._take_batch(batch)
             if self.stopped:
                 return
+
+    def _take_batch(self, batch: list[TimedEvent]) -> None:
+        parts = self._parts
+        if not self._lockstep:
+            self._apply_answers(None)
+        items: list[Item] = []
+        for arrival_ns, event in batch:
+            if parts.check is not None:
+                parts.check.on_event(event)
+            items += parts.sequencer.push(event, arrival_ns)
+        parts.metrics.heard({_STREAMS[type(event)] for _, event in batch})
+        self._take(items)
 
     def finish(self) -> bool:
         """End of input: the last scan, then all answers. False when the uplink was stopped meanwhile."""
         parts = self._parts
-        self._take(list(parts.sequencer.finish()))
+        with parts.pulse.working():
+            self._take(list(parts.sequencer.finish()))
         if self.stopped or not parts.uplink.wait_answered(parts.pipeline.seq):
             return False
         self._apply_answers(None)
@@ -173,14 +185,16 @@ class AgentLoop:
         poses = imu.add_imu(samples[0] if len(samples) == 1 else _joined(samples))
         if len(poses.stamps_ns):
             self._now_ns = max(self._now_ns, int(poses.stamps_ns[-1]))
-            self._parts.sink.on_poses(poses, imu, self._state())
+            self._parts.sink.on_poses(poses, imu, self.state)
 
     def _take_packet(self, packet: ScanPacket) -> None:
         parts = self._parts
         self._now_ns = max(self._now_ns, packet.scan.stamp_ns)
         if self._lockstep:
             seen_seq = parts.pipeline.seq + 1 - _LAG
-            if not parts.uplink.wait_answered(seen_seq):
+            with parts.pulse.waiting():
+                answered = parts.uplink.wait_answered(seen_seq)
+            if not answered:
                 self.stopped = True
                 return
             self._apply_answers(seen_seq)
@@ -223,7 +237,7 @@ class AgentLoop:
         self._parts.metrics.odometry.observe_s(clock.cpu_ms["odometry"] * 1e-3)
         for reply in replies:
             self._parts.imu.on_odometry(reply)
-        self._parts.metrics.state.set(self._state())
+        self._parts.metrics.state.set(self.state)
 
     def _apply_answers(self, up_to_seq: int | None) -> None:
         """Hands answers to the Imu node in seq order; later ones than `up_to_seq` are held back."""
@@ -242,7 +256,7 @@ class AgentLoop:
             parts.sink.on_answer(answer)
             if own and parts.check is not None:
                 parts.check.on_answer(answer)
-        parts.metrics.state.set(self._state())
+        parts.metrics.state.set(self.state)
 
     def _in_one_frame(self, reply: OdometryReply) -> OdometryReply:
         """After an outage `odom` goes on from where the robot was: the difference is `map`'s."""
@@ -253,7 +267,9 @@ class AgentLoop:
             self._parts.sink.on_correction(correction)
         return steady
 
-    def _state(self) -> int:
+    @property
+    def state(self) -> int:
+        """The number of a splitslam.v1.TrackingState."""
         silent = self._answered_ns is not None and self._now_ns - self._answered_ns > _SILENT_NS
         connected = self._lockstep or self._parts.uplink.anchored
         return self._parts.imu.state if connected and not silent else UNANCHORED

@@ -226,6 +226,11 @@ RECONNECTS = counter(
     "silent, unavailable: the link. no_welcome, unanswered: the service is overloaded or frozen. refused: its log.",
     Label("cause", BREAKS, open=True),
 )
+CERTIFICATE_EXPIRY = gauge(
+    "splitslam_edge_certificate_expiry_timestamp_seconds",
+    "When the agent's certificate or its authority expires, whichever is first; NaN: no TLS",
+    "Less than its renewal ahead: `splitslam certs`.",
+)
 IGNORED = counter(
     "splitslam_edge_ignored_answers",
     "Answers not handed on: known before, or to no frame of ours",

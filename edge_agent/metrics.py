@@ -193,6 +193,10 @@ class EdgeMetrics:
         self._collect(m.OUTAGE_SECONDS, lambda: report().seconds)
         self._collect(m.ALONE, lambda: float(report().alone))
 
+    def certificate_from(self, expires_s: Callable[[], float]) -> None:
+        """Shows when the agent's certificate or its authority's expires; Unix time."""
+        self._collect(m.CERTIFICATE_EXPIRY, expires_s)
+
     def tcp_bytes_from(self, sent: Callable[[], float], received: Callable[[], float]) -> None:
         """Shows the kernel's byte counts."""
         self._collect(m.TCP_SENT, sent)

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.types import OdometryReply, OdomPoses
+from edge_agent.wire import state_name
 from splitslam import se3
 from splitslam.errors import InputError
-from splitslam.wire import types_pb2 as types
 
 _UPPER = np.triu_indices(6)
-_STATE = "TRACKING_STATE_"
 
 Array = NDArray[np.float64]
 
@@ -99,10 +98,8 @@ def covariance_header() -> str:
 
 def covariance_line(reply: OdometryReply) -> str:
     """One row: stamp, state by name, upper triangle of the covariance of T_map_lidar row by row (rad and m)."""
-    known = types.TrackingState.DESCRIPTOR.values_by_number.get(reply.state)
-    state = str(reply.state) if known is None else known.name.removeprefix(_STATE).lower()
     numbers = ",".join(f"{value:.6e}" for value in reply.covariance[_UPPER])
-    return f"{reply.stamp_ns},{state},{numbers}\n"
+    return f"{reply.stamp_ns},{state_name(reply.state)},{numbers}\n"
 
 
 def rotate_quats(left_xyzw: Array, quats_xyzw: Array) -> Array:

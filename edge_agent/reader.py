@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.pulse import Pulse
 from edge_agent.sources import Event
 from splitslam.scan import Scan
 
@@ -116,6 +117,7 @@ class Reader(threading.Thread):
         self._began_s = began_s if realtime else None
         self._origin_s = float("nan")
         self.cpu_s = 0.0
+        self.pulse = Pulse("source")
         self.passed_scans = 0
 
     def due_s(self, arrival_ns: int) -> float:
@@ -141,10 +143,19 @@ class Reader(threading.Thread):
             error = caught
         self._queue.end(error)
 
+    def _pulled(self) -> Iterator[TimedEvent]:
+        events = iter(self._events)
+        while True:
+            with self.pulse.working():
+                event = next(events, None)
+            if event is None:
+                return
+            yield event
+
     def _read(self) -> None:
         batch: list[TimedEvent] = []
         listening = self._began_s is None
-        for event in self._events:
+        for event in self._pulled():
             self.cpu_s = time.thread_time()
             if self._realtime:
                 now_s = time.monotonic()

@@ -34,7 +34,7 @@ class RunStore:
             metrics.drop_sources.append(Counter(self._own.dropped))  # counts go on since the run began
             self._own.begin(hello)
             self.spool = folder.open(self._own)
-            self.leftovers = Leftovers(folder, self.run.value, config.server, config.uplink)
+            self.leftovers = Leftovers(folder, self.run.value, config.server, config.uplink, config.tls)
             metrics.spool_error_sources.append(self.leftovers.errors)
 
     @property

@@ -10,6 +10,7 @@ from urllib.parse import quote
 import grpc
 
 from edge_agent.ending import Ending
+from splitslam.security.client import Connector
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 
@@ -38,17 +39,19 @@ class Stream:
 
     def __init__(
         self,
-        server: str,
+        connector: Connector,
         hello: pb.Hello,
         replica: str,
         next_request: Callable[[Stream], pb.StreamRequest | None],
         on_response: Callable[[Stream, pb.StreamResponse], None],
         on_end: Callable[[Stream, Ending], None],
     ) -> None:
+        self._connector = connector
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
         self.replica = replica
-        self._channel = grpc.insecure_channel(server, options=_OPTIONS)
-        metadata = ((ROUTE_KEY, route_key(hello)), *(((REPLICA, replica),) if replica else ()))
+        self._channel = connector.channel(_OPTIONS)
+        wish = ((REPLICA, replica),) if replica else ()
+        metadata = ((ROUTE_KEY, route_key(hello)), *wish, *connector.metadata())
         self._call = rpc.EdgeServiceStub(self._channel).Stream(self._requests(), metadata=metadata)
         self._reader = threading.Thread(target=self._read, name="uplink-reader", daemon=True)
         self._reader.start()
@@ -65,7 +68,7 @@ class Stream:
                     self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
                 self._on_response(self, response)
         except grpc.RpcError as error:
-            ending = _ending(error)
+            ending = _ending(error, self._connector.trouble())
         except Exception:  # a defect of ours must break the stream loudly, not leave it silent
             _log.exception("uplink reader failed")
             ending = Ending("internal", "internal error")
@@ -78,8 +81,9 @@ class Stream:
         self._channel.close()
 
 
-def _ending(error: grpc.RpcError) -> Ending:
+def _ending(error: grpc.RpcError, trouble: str) -> Ending:
+    """trouble: what the connection had, if anything."""
     if isinstance(error, grpc.Call):
         status = error.code().name
-        return Ending(status.lower(), f"{status}: {error.details()}")
-    return Ending("unknown", str(error))
+        return Ending(status.lower(), f"{status}: {error.details()}{trouble}")
+    return Ending("unknown", f"{error}{trouble}")

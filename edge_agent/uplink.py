@@ -21,6 +21,8 @@ from edge_agent.stream import Stream
 from edge_agent.tcp_meter import TcpBytes, TcpMeter
 from edge_agent.wire import Answer
 from splitslam.errors import InputError
+from splitslam.security.client import Connector
+from splitslam.security.settings import ClientTls
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
@@ -28,7 +30,12 @@ _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: t
 
 
 class SessionOverError(InputError):
-    """The session will never take another frame: it was finished, or the service has lost what it had stored."""
+    """The session will never take another frame: it was finished, or the service has lost what it had stored.
+
+    The next start begins a new run, so it is worth starting again, which exit code 2 would not say.
+    """
+
+    exit_code = 75  # EX_TEMPFAIL of sysexits.h
 
 
 class Uplink:
@@ -46,9 +53,15 @@ class Uplink:
         metrics: EdgeMetrics,
         spool: Spool | None = None,
         shared: Callable[[], bool] = lambda: False,
+        tls: ClientTls | None = None,
     ) -> None:
-        """spool: the run's, with what an agent before has left in it. shared: whether others use the link as well."""
+        """Raises InputError for certificates that cannot be used.
+
+        spool: the run's, with what an agent before has left in it. shared: whether others use the link as well.
+        tls: None: none, which only a server on this machine allows.
+        """
         self._server, self._settings, self._metrics, self._shared = server, settings, metrics, shared
+        self._connector = Connector(server, tls or ClientTls())
         self._dialogue = Dialogue(hello, settings, metrics, spool)
         self._resumes = len(self._dialogue.outbox) > 0
         self._meter = TcpMeter(*split_server(server))
@@ -83,6 +96,12 @@ class Uplink:
         """Whether every frame that is kept would survive the end of this process."""
         with self._changed:
             return self._dialogue.outbox.all_on_disk
+
+    @property
+    def kept(self) -> int:
+        """Frames that are not yet durable and answered."""
+        with self._changed:
+            return len(self._dialogue.outbox)
 
     def send(self, frame: pb.Frame, arrived_s: float | None = None) -> None:
         """Queues a frame (seq above all before). A full buffer drops the oldest that is not dense, and counts it.
@@ -166,6 +185,10 @@ class Uplink:
             dialogue = self._dialogue
             return self._stream is not None and dialogue.stream.welcomed and dialogue.outbox.unsent <= 1
 
+    def certificate_expires_s(self) -> float:
+        """Unix time of the first certificate to expire, s; NaN without TLS."""
+        return self._connector.expires_s
+
     def tcp_bytes(self) -> TcpBytes:
         """TCP payload so far, all connections."""
         return self._meter.read()
@@ -221,7 +244,7 @@ class Uplink:
             state = self._dialogue.begin(time.monotonic())
             callbacks = (self._next_request, self._on_response, self._on_end)
             hello, replica = self._dialogue.hello, self._dialogue.take_replica()
-            stream = self._stream = Stream(self._server, hello, replica, *callbacks)
+            stream = self._stream = Stream(self._connector, hello, replica, *callbacks)
             while state.ended is None and not self._over and self._dialogue.finished is None:
                 deadline_s, ending = self._dialogue.deadline(welcome_within_s)
                 if (left_s := deadline_s - time.monotonic()) <= 0:

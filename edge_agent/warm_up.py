@@ -18,6 +18,7 @@ from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
 from edge_agent.types import OdometryReply
+from splitslam import codec
 from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
 from splitslam.scan import ImuSamples, Scan, ScanPacket, WheelSamples
@@ -49,6 +50,7 @@ def warm_up(
         if robot.wheels is not None:
             node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))
+        codec.recode(frame.payload, 1, beam_elevations_rad, robot.lidar.columns)  # for a service of before
         pose = node.T_odom_lidar_at(frame.stamp_ns)
         reply = OdometryReply(frame.seq, frame.stamp_ns, pose, np.eye(4), np.eye(6) * 1e-4, 2, np.zeros((0, 6)))
         node.on_odometry(reply)

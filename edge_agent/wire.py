@@ -15,6 +15,7 @@ from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 
 WIRE_VERSION = 1
+EDGE_ONLY = "wheels"  # a part to disable that the service has not, and that one of 0.1.0 refuses
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,12 @@ class Answer:
     correction_m: float | None
     round_trip_s: float
     correction_cause: str = ""
+
+
+def state_name(state: int) -> str:
+    """`tracking`, `lost`, ...; the number itself when a later service has another one."""
+    known = types.TrackingState.DESCRIPTOR.values_by_number.get(state)
+    return str(state) if known is None else known.name.removeprefix("TRACKING_STATE_").lower()
 
 
 def transform(T: NDArray[np.float64]) -> types.Transform:

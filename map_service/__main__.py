@@ -62,6 +62,35 @@ def serve(
     run(effective)
 
 
+@app.command()
+def health(
+    server: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Else what the configuration listens on.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="The service's YAML; defaults without.")] = None,
+    timeout_s: Annotated[float, typer.Option(min=0.1, help="How long it may take to answer.")] = 2.0,
+) -> None:
+    """Ask a running service whether it takes robots: exit code 0, or 1 and a line that says why not."""
+    from map_service.config import ENV_PREFIX, ServiceConfig
+    from map_service.health import problem_with
+    from splitslam import config as configuration
+
+    problem = problem_with(configuration.load(ServiceConfig, config, ENV_PREFIX), server, timeout_s)
+    if problem is not None:
+        print(problem, file=sys.stderr)
+        raise typer.Exit(1)
+
+
+@app.command("warm-up")
+def warm_up() -> None:
+    """Compile every kernel into the cache, so that no start has to; prints how many there were to compile."""
+    import json
+
+    from map_service.kernel_cache import fill
+
+    print(json.dumps(fill().as_dict()))
+
+
 def main() -> None:
     """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
     try:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from typing import Literal
+from pathlib import Path
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from map_service.settings import PipelineSettings
 from splitslam.config import Model
+from splitslam.security.settings import ServerTls
 
 ENV_PREFIX = "SPLITSLAM_MAP"
 SESSIONS_A_WORKER = 10
@@ -30,6 +32,16 @@ class LogConfig(Model):
     level: Literal["debug", "info", "warning", "error"] = "info"
 
 
+class ClientLimitsConfig(Model):
+    """What one robot may take (map_service/client_limits.py)."""
+
+    streams: int = Field(default=16, ge=1, description="open at a time: its run, one of before, those that broke")
+    opens_per_s: float = Field(default=5.0, gt=0)
+    opens_burst: int = Field(default=50, ge=1)
+    messages_per_s: float = Field(default=500.0, gt=0, description="read of a stream; more wait in the network")
+    messages_burst: int = Field(default=2000, ge=1)
+
+
 class LimitsConfig(Model):
     """Everything that waits is bounded."""
 
@@ -42,6 +54,7 @@ class LimitsConfig(Model):
     idle_s: float = Field(default=600.0, gt=0, description="how long a worker keeps a session without a stream")
     hello_s: float = Field(default=5.0, gt=0, description="how long a new stream may take to say Hello")
     silent_s: float = Field(default=5.0, gt=0, description="a worker without a sign of life is killed and restarted")
+    client: ClientLimitsConfig = ClientLimitsConfig()
     stall_s: float = Field(default=30.0, gt=0, description="the same for one that works on a single job this long")
 
 
@@ -99,6 +112,10 @@ class ServiceConfig(Model):
     workers: int = Field(default=0, ge=0, le=256, description="worker processes; 0: one a core, less one")
     loop_workers: int = Field(default=1, ge=1, le=64, description="processes a worker verifies loops with")
     drain_s: float = Field(default=8.0, gt=0, le=9.0, description="longest graceful drain; the process is gone in 10 s")
+    tls: ServerTls = ServerTls()
+    health_socket: Path | None = Field(
+        default=None, description="Unix socket that answers health checks, which behind TLS nobody else can ask"
+    )
     metrics: MetricsConfig = MetricsConfig()
     log: LogConfig = LogConfig()
     limits: LimitsConfig = LimitsConfig()
@@ -109,6 +126,11 @@ class ServiceConfig(Model):
     retention: RetentionConfig = RetentionConfig()
     housekeeping_s: float = Field(default=60.0, gt=0, description="how often retention is seen to, the store measured")
     pipeline: PipelineSettings = PipelineSettings()
+
+    @model_validator(mode="after")
+    def _not_in_the_clear(self) -> Self:
+        self.tls.check(self.listen)
+        return self
 
     @property
     def worker_count(self) -> int:

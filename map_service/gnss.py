@@ -190,9 +190,12 @@ class GnssGate:
         }
 
     def load(self, data: dict) -> None:
-        """The reverse of dump."""
-        self.origin = None if data["origin"] is None else tuple(data["origin"])
+        """The reverse of dump. Of a state of 0.1.0 only the origin goes on: its fixes are in the graph."""
+        origin = data["datum"] if "datum" in data else data["origin"]
+        self.origin = None if origin is None else tuple(origin)
         self.rejected = dict(data["rejected"])
+        if "datum" in data:
+            return
         self.data = [Datum.load(d, self.settings) for d in data["data"]]
         self.waiting = [PlacedFix.load(f) for f in data["waiting"]]
         self._stamp_ns = int(data["stamp_ns"])

@@ -16,7 +16,7 @@ from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
 from map_service.hello import RefusedError, SessionRequest, read_hello
-from map_service.messages import refusal
+from map_service.messages import refusal_word
 from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
@@ -122,7 +122,7 @@ class SessionHost:
             self._attach(session, message.stream)
 
     def _refuse(self, stream: int, refused: pb.Refused) -> None:
-        reason = refusal(refused)
+        reason = refusal_word(refused)
         self.tally.count("refused", reason)
         _log.warning("refused", extra={"fields": {"reason": reason, "detail": refused.detail}})
         self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))

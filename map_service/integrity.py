@@ -140,7 +140,7 @@ def _places(connection: Connection, key: int, keyframes: set[int]) -> Iterator[s
 
 
 def _rows(connection: Connection, query: Executable, size: int = _ROWS) -> Iterator[Row]:
-    with connection.execution_options(yield_per=size).execute(query) as rows:
+    with connection.execute(query.execution_options(yield_per=size)) as rows:
         yield from rows
 
 

@@ -43,7 +43,7 @@ def odometry(answer: MapAnswer) -> pb.Odometry:
     return message
 
 
-def refusal(refused: pb.Refused) -> str:
+def refusal_word(refused: pb.Refused) -> str:
     """Its reason as a word: `overloaded`, `bad_hello`, ..."""
     return pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
 

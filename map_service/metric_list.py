@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
+from map_service.callers import Reason
 from map_service.types import Cause, State
 from splitslam.metrics.definition import Label, Metric, counter, gauge, histogram
 
@@ -50,6 +53,25 @@ REFUSED = counter(
     "Streams refused, by reason",
     "overloaded: capacity. store: the database. unauthenticated, bad_hello, version: that robot's configuration.",
     Label("reason", REFUSALS, open=True),
+)
+DENIED = counter(
+    "splitslam_map_auth_refused",
+    "Calls of who may not, or too often, by reason (docs/security.md)",
+    "One robot: its certificate or token. Many at once: an authority that has expired, or somebody who tries.",
+    Label("reason", get_args(Reason)),
+)
+HANDSHAKES = counter(
+    "splitslam_map_tls_handshakes", "TLS handshakes begun", "Many more than streams: connections that are refused."
+)
+THROTTLED = counter(
+    "splitslam_map_throttled_messages",
+    "Messages that came too fast and waited",
+    "A robot that floods; `limits.client`.",
+)
+CERTIFICATE_EXPIRY = gauge(
+    "splitslam_map_certificate_expiry_timestamp_seconds",
+    "When the service's certificate or an authority expires, whichever is first; NaN: no TLS",
+    "Less than its renewal ahead: `splitslam certs`.",
 )
 STREAM_ENDS = counter(
     "splitslam_map_stream_ends",

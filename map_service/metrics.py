@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 
 from prometheus_client import CollectorRegistry, ProcessCollector
 
@@ -30,7 +31,10 @@ class ServiceMetrics:
         self._busy = self._family(m.WORKER_BUSY)
         self._memory = self._family(m.WORKER_MEMORY)
         self._undurable, self._oldest_frame = self._family(m.UNDURABLE), self._family(m.OLDEST_FRAME)
-        self.refused = self._family(m.REFUSED)
+        self.refused, self.denied = self._family(m.REFUSED), self._family(m.DENIED)
+        self.handshakes, self.throttled = self._family(m.HANDSHAKES), self._family(m.THROTTLED)
+        self._expires_s: Callable[[], float] = lambda: math.nan
+        collect(m.CERTIFICATE_EXPIRY, self.registry, lambda: self._expires_s())
         self.store_bytes, self.database_bytes = self._family(m.STORE_BYTES), self._family(m.DATABASE_BYTES)
         self.retention, self.retention_bytes = self._family(m.RETENTION), self._family(m.RETENTION_BYTES)
         self.drained, self.draining = self._family(m.DRAINED), self._family(m.DRAINING)
@@ -65,6 +69,10 @@ class ServiceMetrics:
 
     def _family(self, metric: Metric) -> Family:
         return Family(metric, self.registry, worker=self._workers, site=[*sorted(self.sites), OTHER])
+
+    def certificate_from(self, expires_s: Callable[[], float]) -> None:
+        """Shows when the certificate in force, or an authority, expires; Unix time."""
+        self._expires_s = expires_s
 
     def absorb(self, worker: int, beat: Beat, unanswered: int, delay_s: float) -> None:
         """Takes over what a worker has counted, and how it stands. unanswered, delay_s: of the frames it was given."""

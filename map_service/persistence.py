@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _VERSION = 2
+_READ = (1, 2)  # 1: sessions that a service of 0.1.0 began
 _MOVED = 1e-6
 
 
@@ -128,8 +129,8 @@ def dump(pipeline: MapPipeline) -> bytes:
 def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     """Puts a stored session into a fresh pipeline."""
     data = json.loads(snapshot.tracker)
-    if data["v"] != _VERSION:
-        raise ValueError(f"tracker state of version {data['v']}, expected {_VERSION}")
+    if data["v"] not in _READ:
+        raise ValueError(f"tracker state of version {data['v']}, expected one of {_READ}")
     if data.get("empty"):
         return
     poses = [k.T_map_lidar for k in snapshot.keyframes]
@@ -154,17 +155,18 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         snapshot.last_seq,
         carried_sigma=np.array(data.get("carried_sigma", np.zeros(6))),
     )
-    if "doubt" in data:  # sessions of the first release have none
+    if "doubt" in data:  # sessions of 0.1.0 have none
         pipeline.tracker.doubt.load(data["doubt"])
         pipeline.found = bool(data["found"])
     if pipeline.gnss is not None and data["gnss"] is not None:
         pipeline.gnss.load(data["gnss"])
-    pipeline.leveller.load(data["leveller"])
+    if "leveller" in data:
+        pipeline.leveller.load(data["leveller"])
     if pipeline.closer is not None and data["closer"] is not None:
         pipeline.closer.load(data["closer"], snapshot.places, pipeline.keyframes, pipeline.graph.poses)
     pipeline.stats.loops = int(data["loops"])
     pipeline.stats.gnss_factors = int(data["gnss_factors"])
-    pipeline.stats.gravity_factors = int(data["gravity_factors"])
+    pipeline.stats.gravity_factors = int(data.get("gravity_factors", 0))
     pipeline.stats.corrections = dict(data["corrections"])
     pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
     pipeline.mapped_before = snapshot.mapped

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import signal
+from pathlib import Path
 from typing import Any
 
 import grpc
@@ -13,6 +14,7 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from map_service.config import ServiceConfig
+from map_service.door import Door
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
 from map_service.housekeeping import Housekeeper
@@ -24,6 +26,7 @@ from map_service.store import Store
 from map_service.workers import WorkerPool
 from splitslam.errors import InputError
 from splitslam.logs import configure_logs
+from splitslam.notify import Notifier
 from splitslam.wire import session_pb2_grpc as rpc
 
 SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService")
@@ -51,9 +54,12 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     store = Store(config.store, config.store_wait_s)
     metrics = ServiceMetrics(config)
     pool = WorkerPool(config, engine, metrics)
-    front = EdgeFront(config, pool, metrics)
-    server, checks, address = _build(config, front, SessionFront(store, pool))
+    door = Door(config.tls, metrics)
+    front = EdgeFront(config, pool, metrics, door.callers)
+    sessions = SessionFront(store, pool, door.callers, metrics)
+    server, checks, address = _build(config, front, sessions, door)
     page = metrics.serve(config.metrics.host, config.metrics.port)
+    local = _health_only(config.health_socket, checks)
     try:
         starting = asyncio.create_task(pool.start())
         stopping = asyncio.create_task(stop.wait())
@@ -63,15 +69,21 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
             return
         starting.result()
         await server.start()
+        if local is not None:
+            await local.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
         scraped = f"{page.host}:{page.port}" if page else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
+        notifier = Notifier()
+        notifier.ready(f"listening on {address}")
+        living = asyncio.create_task(_give_signs_of_life(notifier))
         membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
         rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
         if _shared(config, store):
             membership.start()
         await stopping
+        notifier.stopping("handing sessions over")
         keeping.cancel()
         _log.info("draining")
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
@@ -79,11 +91,21 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         front.drain(membership.peers)
         await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
+        living.cancel()
+        if local is not None:
+            await local.stop(None)
     finally:
         pool.kill()
         store.close()
         if page:
             page.close()
+
+
+async def _give_signs_of_life(notifier: Notifier) -> None:
+    """As long as this event loop turns, which is what robots talk to; it watches the workers itself."""
+    while notifier.watchdog_s is not None:
+        notifier.alive()
+        await asyncio.sleep(notifier.watchdog_s / 4)
 
 
 def _shared(config: ServiceConfig, store: Store) -> bool:
@@ -92,7 +114,9 @@ def _shared(config: ServiceConfig, store: Store) -> bool:
     return store.engine.dialect.name != "sqlite" if shared is None else shared
 
 
-def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> tuple[grpc.aio.Server, Any, str]:
+def _build(
+    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, door: Door
+) -> tuple[grpc.aio.Server, Any, str]:
     server = grpc.aio.server(
         options=[
             ("grpc.so_reuseport", 0),  # two services on one port would share the robots at random
@@ -106,15 +130,29 @@ def _build(config: ServiceConfig, front: EdgeFront, sessions: SessionFront) -> t
     rpc.add_SessionServiceServicer_to_server(sessions, server)
     checks = HealthServicer()
     health_pb2_grpc.add_HealthServicer_to_server(checks, server)
-    reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
+    if not config.tls.on:  # whoever needs the contract behind a door has it from proto/
+        reflection.enable_server_reflection((*SERVICES, "grpc.health.v1.Health", reflection.SERVICE_NAME), server)
     host, separator, port = config.listen.rpartition(":")
     if not separator or not port.isdigit() or int(port) > 65535:
         raise InputError(f"listen {config.listen!r}: expected HOST:PORT")
     try:
-        bound = server.add_insecure_port(config.listen)
+        bound = door.open(server, config.listen)
     except RuntimeError as error:
         raise InputError(f"listen {config.listen}: cannot be bound (is the port in use?)") from error
     return server, checks, f"{host}:{bound}"
+
+
+def _health_only(socket: Path | None, checks: Any) -> grpc.aio.Server | None:
+    """A second server for whoever is in the same container: it tells health and nothing else."""
+    if socket is None:
+        return None
+    server = grpc.aio.server()
+    health_pb2_grpc.add_HealthServicer_to_server(checks, server)
+    try:
+        server.add_insecure_port(f"unix:{socket.absolute()}")
+    except RuntimeError as error:
+        raise InputError(f"health_socket {socket}: cannot be made (does its folder exist?)") from error
+    return server
 
 
 async def _set_health(checks: Any, status: health_pb2.HealthCheckResponse.ServingStatus) -> None:

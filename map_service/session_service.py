@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager
 from typing import TypeVar
 
 import grpc
 from sqlalchemy import Row
 
+from map_service.access import NO_SITE, check_operator, check_reader
+from map_service.callers import Caller, Callers, DeniedError
 from map_service.catalog import Catalog
 from map_service.export import map_pieces
 from map_service.messages import stamped_pose, transform_to_wire
+from map_service.metrics import ServiceMetrics
 from map_service.store import Store, StoreError
 from map_service.workers import WorkerPool
 from splitslam.errors import DataError
@@ -22,22 +27,29 @@ A = TypeVar("A")
 T = TypeVar("T")
 MIN_VOXEL_M = 0.01
 MAX_VOXEL_M = 100.0
+_log = logging.getLogger(__name__)
 
 
 class SessionFront(rpc.SessionServiceServicer):
     """Queries run in threads: a large map must not stop the robots' streams."""
 
-    def __init__(self, store: Store, pool: WorkerPool) -> None:
-        self._catalog, self._pool = Catalog(store), pool
+    def __init__(self, store: Store, pool: WorkerPool, callers: Callers, metrics: ServiceMetrics) -> None:
+        self._catalog, self._pool, self._callers, self._metrics = Catalog(store), pool, callers, metrics
 
     async def List(self, request: pb.ListRequest, context: grpc.aio.ServicerContext) -> pb.ListResponse:
-        rows = await self._query(context, self._catalog.sessions, request.site_id)
+        async with self._allowed(context) as caller:
+            site_id = check_operator(caller, request.site_id)
+        rows = await self._query(context, self._catalog.sessions, site_id)
         return pb.ListResponse(sessions=[session_info(row) for row in rows])
 
     async def Get(self, request: pb.GetRequest, context: grpc.aio.ServicerContext) -> pb.GetResponse:
-        return pb.GetResponse(session=session_info(await self._row(request.session_id, context)))
+        return pb.GetResponse(session=session_info(await self._readable(request.session_id, context)))
 
     async def Delete(self, request: pb.DeleteRequest, context: grpc.aio.ServicerContext) -> pb.DeleteResponse:
+        async with self._allowed(context) as caller:
+            check_operator(caller, "")
+            row = await self._row(request.session_id, context)
+            check_operator(caller, row.site_id or NO_SITE)
         if self._pool.is_open(request.session_id):
             await context.abort(grpc.StatusCode.FAILED_PRECONDITION, "a robot's stream has the session open")
         deleted = await self._query(context, self._catalog.delete, request.session_id)
@@ -50,7 +62,7 @@ class SessionFront(rpc.SessionServiceServicer):
     async def Trajectory(
         self, request: pb.TrajectoryRequest, context: grpc.aio.ServicerContext
     ) -> AsyncIterator[pb.TrajectoryResponse]:
-        row = await self._row(request.session_id, context)
+        row = await self._readable(request.session_id, context)
         pages = self._catalog.trajectory(row.id)
         while (page := await self._query(context, _next, pages)) is not None:
             yield pb.TrajectoryResponse(poses=[stamped_pose(*pose) for pose in page])
@@ -62,7 +74,7 @@ class SessionFront(rpc.SessionServiceServicer):
         if voxel_m != 0 and not MIN_VOXEL_M <= voxel_m <= MAX_VOXEL_M:  # also true for NaN
             detail = f"voxel_m {voxel_m:g}: expected 0 or {MIN_VOXEL_M:g} to {MAX_VOXEL_M:g}"
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, detail)
-        row = await self._row(request.session_id, context)
+        row = await self._readable(request.session_id, context)
         pieces = map_pieces(self._catalog.keyframes(row.id), voxel_m)
         while (piece := await self._query(context, _next, pieces)) is not None:
             yield pb.StreamMapResponse(
@@ -71,6 +83,24 @@ class SessionFront(rpc.SessionServiceServicer):
                 points=piece.points_map.tobytes(),
                 point_count=len(piece.points_map),
             )
+
+    @asynccontextmanager
+    async def _allowed(self, context: grpc.aio.ServicerContext) -> AsyncIterator[Caller]:
+        """Who calls; what is denied within is counted and ends the call."""
+        try:
+            yield self._callers.identify(context)
+        except DeniedError as denied:
+            self._metrics.denied.inc(denied.reason)
+            _log.warning("refused", extra={"fields": {"reason": denied.reason, "detail": denied.detail}})
+            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{denied.reason}: {denied.detail}")
+
+    async def _readable(self, session_id: str, context: grpc.aio.ServicerContext) -> Row:
+        """The row of a session that the caller may read."""
+        async with self._allowed(context) as caller:
+            check_reader(caller, session_id.partition("/")[0], None)
+            row = await self._row(session_id, context)
+            check_reader(caller, row.robot_id, row.site_id or NO_SITE)
+        return row
 
     async def _row(self, session_id: str, context: grpc.aio.ServicerContext) -> Row:
         row = await self._query(context, self._catalog.session, session_id)

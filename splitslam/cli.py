@@ -10,6 +10,7 @@ import typer
 
 from splitslam.errors import InputError
 from splitslam.run.processes import RunFailedError
+from splitslam.security.command import certs
 
 _UsageError: Any = typer.BadParameter.__base__  # of the click that typer brings along or, in older ones, depends on
 _INTERRUPTED = 130
@@ -25,6 +26,7 @@ app = typer.Typer(
 
 bench = typer.Typer(help="The paper's experiments on recordings of your own.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
+app.add_typer(certs, name="certs")
 
 
 @app.callback(invoke_without_command=True)

@@ -216,9 +216,20 @@ def robot_from_yaml(text: str, name: str = "robot file") -> Robot:
 
 def robot_to_yaml(robot: Robot) -> str:
     """YAML with every default filled in, except a T_lidar_imu that nobody gave."""
-    data = robot.model_dump(mode="json")
-    if not robot.imu_placed:
-        del data["T_lidar_imu"]
+    return _as_yaml(robot, _written(robot))
+
+
+def robot_for_service(robot: Robot) -> str:
+    """The same without `wheels`, which only the edge uses: a map service of 0.1.0 refuses the section as unknown."""
+    return _as_yaml(robot, _written(robot) - {"wheels"})
+
+
+def _written(robot: Robot) -> set[str]:
+    return set(Robot.model_fields) - (set() if robot.imu_placed else {"T_lidar_imu"})
+
+
+def _as_yaml(robot: Robot, sections: set[str]) -> str:
+    data = robot.model_dump(mode="json", include=sections)
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
 
 

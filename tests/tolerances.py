@@ -23,6 +23,8 @@ CODEC_MOTION = {
 # Of a decoded point against the encoder's, at the default step; range noise is 2 to 3 cm.
 CODEC_MEAN_M = 0.01
 CODEC_MAX_M = 0.03
+# A frame recoded for a service of codec 1: half of its step of 1 cm along each axis, and what 32 for 33 knots turn.
+RECODED_M = 0.010
 # A frame without points: what all of them share, motion and knots (seen: 111 on yard1).
 CODEC_FIXED_BYTES = 150
 # Bits a point of a dense VLP-16 frame, everything included (seen: 9.1 on yard1; Morton order + zstd: about 25).
@@ -122,3 +124,7 @@ CHAOS_MEMORY_RATIO = 1.3
 # `make chaos` holds gaps in answers to the bars; `make test` shares the machine and holds their order of size:
 # so many times the bar, and as many again as the load average has processes for each core.
 CHAOS_GAP_SLACK = 3.0
+
+# `systemd-analyze security`: 0 is locked, 10 is open.
+UNIT_EXPOSURE = 3.0
+UNIT_EXPOSURE_FPGA = 6.0

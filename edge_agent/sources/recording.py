@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.sources import beams, messages, topics
-from edge_agent.sources.bag import Bag
+from edge_agent.sources.bag import Bag, Tap
 from edge_agent.sources.cloud_decoder import CloudDecoder
 from edge_agent.sources.pointcloud2 import read_table
 from edge_agent.sources.raw import Gate, RawScan
@@ -62,10 +62,11 @@ class Recording:
     beam_elevations_rad: (rings,) float32. topics: sensor -> topic. notes: lines to print once.
     dropped: messages that could not be used, by reason. start_ns, end_ns: recorded time (arrival) of the first and
     last message of the part read so far, 0 before the first.
-    scan_count: scans to expect, by the recording's index.
+    scan_count: scans to expect, by the recording's index. tap: set it to see each message raw as `events` reads it.
     """
 
     def __init__(self, bag: Bag, robot: Robot, max_scans: int | None) -> None:
+        self.tap: Tap | None = None
         self._bag = bag
         self._name = str(bag.path)
         self._max_scans = max_scans
@@ -102,7 +103,7 @@ class Recording:
         }
         stop_ns: int | None = None
         with self._bag:
-            for topic, arrival_ns, message in self._bag.messages(set(self.topics.values())):
+            for topic, arrival_ns, message in self._bag.messages(set(self.topics.values()), self.tap):
                 is_scan = topic == self.topics["lidar"]
                 if stop_ns is not None and arrival_ns > stop_ns:
                     return

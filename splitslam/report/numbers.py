@@ -43,7 +43,7 @@ def assemble(
         "loops": session.loops,
         "gnss_factors": session.gnss_factors,
         "gnss_rejected": statistics["gnss_rejected"],
-        "gravity_factors": statistics["gravity_factors"],
+        "gravity_factors": statistics.get("gravity_factors"),  # a service of 0.1.0 does not count them
         "map_ms": statistics["map_ms"],
         "map_wall_ms": statistics["map_wall_ms"],
         "cpu_ms_per_scan": {name: cpu_ms[name] for name in ("edge", "map", "reader")},

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from edge_agent.config import AgentConfig
 from splitslam import config
 from splitslam.evaluate import as_dict, evaluate, inside
 from splitslam.report.numbers import assemble
@@ -66,7 +67,7 @@ def run_recording(options: RunOptions, progress: Progress, programs: Programs = 
             watcher = Watcher(progress.expected, progress.scan, progress.note, alive)
             run_agent(programs.edge_agent, _written(stage.work / "edge.yaml", agent_config), watcher)
             progress.stage("fetching trajectory and map")
-            run = _fetch(options, stage, agent_config.server, truth, progress)
+            run = _fetch(options, stage, agent_config, truth, progress)
         progress.stage("writing the report")
         _write_reports(run, stage.results)
         if options.picture is not None:
@@ -92,7 +93,9 @@ def _written(path: Path, model: Any) -> Path:
     return path
 
 
-def _fetch(options: RunOptions, stage: Staging, server: str, truth: Trajectory | None, progress: Progress) -> Run:
+def _fetch(
+    options: RunOptions, stage: Staging, agent_config: AgentConfig, truth: Trajectory | None, progress: Progress
+) -> Run:
     from splitslam.run.ply import write_ply
     from splitslam.run.session_client import session_client
 
@@ -103,7 +106,7 @@ def _fetch(options: RunOptions, stage: Staging, server: str, truth: Trajectory |
         raise RunFailedError("edge-agent was stopped before the end of the recording") from None
     for name in _FROM_AGENT:
         (agent / name).replace(stage.results / name)
-    with session_client(server, edge["session_id"]) as session:
+    with session_client(agent_config.server, edge["session_id"], agent_config.tls) as session:
         info, statistics = session.info()
         trajectory = session.trajectory()
         write_ply(stage.results / "map.ply", session.map_pieces())

@@ -11,6 +11,8 @@ import grpc
 import numpy as np
 
 from splitslam.run.processes import RunFailedError
+from splitslam.security.client import Connector
+from splitslam.security.settings import ClientTls
 from splitslam.tum import Trajectory
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
@@ -23,21 +25,24 @@ _STREAM_S = 600.0
 class SessionClient:
     """SessionService of one server, for one session. Every call raises RunFailedError when it fails."""
 
-    def __init__(self, stub: Any, session_id: str) -> None:
-        self._stub, self._id = stub, session_id
+    def __init__(self, stub: Any, session_id: str, metadata: tuple[tuple[str, str], ...] = ()) -> None:
+        """metadata: what every call carries."""
+        self._stub, self._id, self._metadata = stub, session_id, metadata
         self.keyframes_map: list[tuple[float, float, float]] = []
 
     def info(self) -> tuple[pb.SessionInfo, dict[str, Any]]:
         """The session and its statistics."""
         with _named("Get"):
-            session = self._stub.Get(pb.GetRequest(session_id=self._id), timeout=_CALL_S).session
+            request = pb.GetRequest(session_id=self._id)
+            session = self._stub.Get(request, timeout=_CALL_S, metadata=self._metadata).session
         return session, json.loads(session.statistics_json or "{}")
 
     def stored_poses(self) -> list[types.StampedPose]:
         """Every mapped frame with its final optimised pose T_map_lidar, in order of time."""
         with _named("Trajectory"):
             request = pb.TrajectoryRequest(session_id=self._id)
-            poses = [pose for page in self._stub.Trajectory(request, timeout=_STREAM_S) for pose in page.poses]
+            pages = self._stub.Trajectory(request, timeout=_STREAM_S, metadata=self._metadata)
+            poses = [pose for page in pages for pose in page.poses]
         return sorted(poses, key=lambda pose: pose.stamp_ns)
 
     def trajectory(self) -> Trajectory:
@@ -47,7 +52,8 @@ class SessionClient:
     def map_pieces(self) -> Iterator[bytes]:
         """Points of one keyframe after the other; the keyframes' positions gather in `keyframes_map`."""
         with _named("StreamMap"):
-            for piece in self._stub.StreamMap(pb.StreamMapRequest(session_id=self._id), timeout=_STREAM_S):
+            request = pb.StreamMapRequest(session_id=self._id)
+            for piece in self._stub.StreamMap(request, timeout=_STREAM_S, metadata=self._metadata):
                 self.keyframes_map.append(_numbers(piece.pose_map_lidar)[:3])
                 yield piece.points
 
@@ -60,10 +66,11 @@ def as_trajectory(poses: list[types.StampedPose]) -> Trajectory:
 
 
 @contextmanager
-def session_client(address: str, session_id: str) -> Iterator[SessionClient]:
+def session_client(address: str, session_id: str, tls: ClientTls | None = None) -> Iterator[SessionClient]:
     """Connected for as long as the block runs."""
-    with grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]) as channel:
-        yield SessionClient(rpc.SessionServiceStub(channel), session_id)
+    connector = Connector(address, tls or ClientTls())
+    with connector.channel([("grpc.max_receive_message_length", -1)]) as channel:
+        yield SessionClient(rpc.SessionServiceStub(channel), session_id, connector.metadata())
 
 
 @contextmanager

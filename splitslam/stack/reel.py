@@ -47,7 +47,7 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
     from splitslam import codec
     from splitslam.check.odometry import NoLoops
     from splitslam.errors import DataError
-    from splitslam.robot import load_robot, robot_to_yaml
+    from splitslam.robot import load_robot, robot_for_service
     from splitslam.scan import ImuSamples, ScanPacket
 
     off = frozenset({"gnss", "loops", "wheels"})
@@ -78,7 +78,7 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
         service.finish()
         final = [T for _, _, T in service.trajectory()]
         hello = pb.Hello(
-            robot_file_yaml=robot_to_yaml(read.robot),
+            robot_file_yaml=robot_for_service(read.robot),
             beam_elevations_rad=beams.tolist(),
             wire_version=WIRE_VERSION,
             codec_version=codec.CODEC_VERSION,

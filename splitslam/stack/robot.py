@@ -11,6 +11,7 @@ from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
+from splitslam.security.settings import ClientTls
 from splitslam.stack.process import wait_until
 from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
@@ -40,6 +41,7 @@ class LightRobot:
         rate_hz: float = 10.0,
         uplink: UplinkConfig | None = None,
         run_id: str = "",
+        tls: ClientTls | None = None,
     ) -> None:
         self.robot_id = robot_id
         self.metrics = EdgeMetrics()
@@ -49,7 +51,7 @@ class LightRobot:
         self.sent = 0
         self.failure: Exception | None = None
         self._reel, self._period_s = reel, 1.0 / rate_hz
-        self._uplink = Uplink(server, self.hello, uplink or UplinkConfig(), self.metrics)
+        self._uplink = Uplink(server, self.hello, uplink or UplinkConfig(), self.metrics, tls=tls)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play, name=robot_id, daemon=True)
 

@@ -17,11 +17,18 @@ from splitslam.stack.replica import DRAIN_S, PROGRAM, Replica
 _HEALTHY_S = 10.0
 
 
+def service_tls(folder: Path) -> dict[str, str]:
+    """`tls` of a service's configuration with what lies in an authority's folder."""
+    files = {"cert": "service.pem", "key": "service.key", "ca": "ca.pem", "tokens": "tokens.yaml"}
+    return {key: str(folder / name) for key, name in {**files, "revoked": "revoked.txt"}.items()}
+
+
 class Stack:
     """`with Stack(folder) as stack:` robots connect to `stack.address`; logs and data lie in `folder`.
 
     store: "postgres" is a server of its own (`postgres`), "sqlite" a file that all replicas share. settings: of every
     replica's ServiceConfig. program: what `serve --config FILE` is given to.
+    tls: an authority's folder with the certificates of service and proxy (splitslam.security.authority); None: no TLS.
     """
 
     def __init__(
@@ -31,6 +38,7 @@ class Stack:
         store: Literal["postgres", "sqlite"] = "postgres",
         settings: dict[str, Any] | None = None,
         program: Sequence[str] = PROGRAM,
+        tls: Path | None = None,
     ) -> None:
         """Raises InputError without the wheels, or when no replica is wanted."""
         check_stack_installed()
@@ -40,8 +48,9 @@ class Stack:
         self.folder = folder.absolute()
         self.postgres = PostgresServer(self.folder) if store == "postgres" else None
         self.store_url = self.postgres.url if self.postgres else f"sqlite:///{self.folder / 'map.db'}"
-        self.envoy = EnvoyProxy(self.folder)
-        self._settings, self._program = settings, program
+        self.envoy = EnvoyProxy(self.folder, tls=tls)
+        own = {} if tls is None else {"tls": service_tls(tls.absolute())}
+        self._settings, self._program = {**own, **(settings or {})}, program
         self._numbers = itertools.count(1)
         self.replicas = [self._replica() for _ in range(replicas)]
 

@@ -1,4 +1,4 @@
-"""The encoder of codec version 1, kept to be compared with. It must go on making what splitslam.codec decodes."""
+"""The encoder of codec version 1: for services of 0.1.0, which read nothing else (edge_agent/recoding.py)."""
 
 from __future__ import annotations
 
@@ -8,19 +8,25 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from benchmarks import _codec_version1_kernels as kernels
 from splitslam import _motion_kernels, se3
+from splitslam.codec import _version1_encoder_kernels as kernels
 from splitslam.codec import version1, version1_motion
 from splitslam.codec._beam_kernels import column_rate
 from splitslam.codec._point_kernels import CLASS, COLUMN, INTENSITY
 from splitslam.codec.beams import directions_of, merged, table_of
 from splitslam.features import FeatureFrame, Knots, Motion
 
+STEP_M = 0.01  # what 0.1.0 wrote; points that were rounded once to 2 cm are not moved as far again
 _LARGEST_HALF = 65_504.0
 
 
-def encode(frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], columns: int, step_m: float) -> bytes:
-    """The frame's payload in version 1. Its knots are sampled at 32 times, which is all that version 1 had."""
+def encode(
+    frame: FeatureFrame, beam_elevations_rad: NDArray[np.float32], columns: int, step_m: float = STEP_M
+) -> bytes:
+    """The frame's payload in version 1. Its knots are sampled at 32 times, which is all that version 1 had.
+
+    ValueError for a frame that breaks FeatureSet's contract.
+    """
     rings = len(beam_elevations_rad)
     counts, cells, points, t_offset_ns = merged(frame, rings, columns)
     n, column = len(points), cells[COLUMN].astype(np.uint16)

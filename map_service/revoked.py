@@ -1,0 +1,49 @@
+"""Certificates that count no more although they have not expired."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+
+from splitslam.config import read_text
+from splitslam.errors import InputError
+
+_HEX_64 = re.compile(r"[0-9a-f]{64}")
+_log = logging.getLogger(__name__)
+
+
+class RevokedList:
+    """SHA-256 fingerprints, hexadecimal, a line each; `#` begins a comment. Read anew when the file changes."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputError when it cannot be read, or has a line that is none."""
+        self._path = path
+        self._seen = self._signature()
+        self._prints = _read(path)
+
+    def holds(self, fingerprint: str) -> bool:
+        """A file that can no longer be read changes nothing: nobody who was revoked comes back by that."""
+        signature = self._signature()
+        if signature != self._seen:
+            self._seen = signature
+            try:
+                self._prints = _read(self._path)
+            except InputError as error:
+                _log.error("revoked: %s; what it said before holds", error)
+        return fingerprint in self._prints
+
+    def _signature(self) -> tuple[int, int] | None:
+        try:
+            status = self._path.stat()
+        except OSError:
+            return None
+        return status.st_ino, status.st_mtime_ns
+
+
+def _read(path: Path) -> frozenset[str]:
+    lines = [line.partition("#")[0].strip().lower() for line in read_text(path).splitlines()]
+    wrong = next((line for line in lines if line and not _HEX_64.fullmatch(line)), None)
+    if wrong is not None:
+        raise InputError(f"{path}: {wrong[:80]!r}: expected the SHA-256 of a certificate, 64 hexadecimal digits")
+    return frozenset(line for line in lines if line)

@@ -1,0 +1,1 @@
+"""Who is who in a fleet: names, certificates, tokens. Threat model and set-up: docs/security.md."""
