@@ -18,7 +18,7 @@ from splitslam.sim import DEMO, simulate
 SECONDS = 32.0
 _SILENT_S = (7.0, 10.0)  # longer than scans wait for their IMU
 _STEP_S, _STEP_BY_S = 14.0, 3600
-_NAN_S = (5.0, 5.02)
+_NAN_S = (11.0, 11.02)
 _STAMP = struct.Struct("<I")  # seconds of a ROS 1 header, behind its sequence number
 _GYRO_AT_BYTE = 4 + 8  # of a Header: seq, stamp; then the frame's name
 

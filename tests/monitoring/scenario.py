@@ -29,9 +29,14 @@ from tests.monitoring import harmed_drive, odd_frames
 from tests.monitoring.prometheus import Prometheus
 
 CALM, SICK = "rover-1", "rover-2"  # the network, disk and process of the first are harmed later, the other's sensors
-_REPLICAS = {"replica": {"beat_s": 0.2, "rest_s": 0.4}, "quota": {"sites": {"yard": 10**9}}}
+_STREAMS = 4  # that a robot may have open
+_REPLICAS = {
+    "replica": {"beat_s": 0.2, "rest_s": 0.4},
+    "quota": {"sites": {"yard": 10**9}},
+    "limits": {"client": {"streams": _STREAMS}},
+}
 _SMALL_SPOOL = {"spool": {"max_bytes": 2**16}, "uplink": {"copies_bytes": 0}, "output": {"dir": None}}
-_BUDGET = {"uplink": {"max_kbps": 60.0}, "pipeline": {"deskew": "fpga"}}
+_BUDGET = {"uplink": {"max_kbps": 100.0}, "pipeline": {"deskew": "fpga"}}
 _ON_A_SICK_BOARD = (sys.executable, "-m", "tests.monitoring.sick_logic")
 _GET_READY_S = 8.0
 _CALM_S, _AWAY_S, _DISK_S, _STORE_S = 4.0, 4.0, 1.0, 1.5
@@ -137,6 +142,7 @@ def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
     fleet.link.partition()
     healed_s = time.monotonic() + _AWAY_S
     _refused(stack, reel)
+    _flood(stack, reel)
     _rude(stack, reel)
     _stolen(stack, crowd[0])
     time.sleep(max(0.0, healed_s - time.monotonic()))
@@ -151,6 +157,7 @@ def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
     fleet.calm.process.kill()
     time.sleep(1.0)
     wait_until(lambda: _page(fleet.calm).has("splitslam_"), 20.0, "the agent again")
+    wait_until(lambda: _page(fleet.sick).value("splitslam_edge_check_problems") > 0, 20.0, "what the robot file says")
     time.sleep(_SCRAPES_S)
     for robot in (blind, *crowd):
         robot.close()
@@ -163,6 +170,14 @@ def _refused(stack: Stack, reel: Reel) -> None:
     robot = Robot7(stack.address, hello)
     robot.next("refused")
     robot.close()
+
+
+def _flood(stack: Stack, reel: Reel) -> None:
+    """One stream more than a robot may have."""
+    robots = [Robot7(stack.replicas[1].address, reel.hello_of("flood")) for _ in range(_STREAMS + 1)]
+    robots[-1].next("refused")
+    for robot in robots:
+        robot.close()
 
 
 def _rude(stack: Stack, reel: Reel) -> None:

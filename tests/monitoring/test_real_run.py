@@ -15,6 +15,7 @@ from tests.monitoring.scenario import CALM, SICK, Watched, watched_fleet
 
 ROBOTS = (CALM, SICK)
 WINDOW = "5s"  # of rates, at a scrape a second
+AT_ONCE = {"FramesLost", "SpoolDiskFails", "ClockStepped", "WorkerDied", "FramesRejected"}
 
 
 def filled_in(expr: str, robot: str) -> str:
@@ -60,11 +61,25 @@ def unknown_metrics(prometheus: Prometheus) -> list[str]:
     return [f"{rule.name}: {name}" for rule in rules() for name in sorted(metrics_of(rule.expr) - known)]
 
 
-def test_no_panel_is_empty_each_fault_is_seen_on_its_panel_and_top_shows_the_same(tmp_path: Path) -> None:
+def failing(prometheus: Prometheus) -> list[str]:
+    """Rules that Prometheus cannot evaluate."""
+    groups = prometheus.ask("rules")["groups"]
+    return [
+        f"{rule['name']}: {rule.get('lastError')}" for one in groups for rule in one["rules"] if rule["health"] != "ok"
+    ]
+
+
+def firing(prometheus: Prometheus) -> set[str]:
+    """Alerts that have fired by now; few have, as most hold on for minutes first."""
+    return {alert["labels"]["alertname"] for alert in prometheus.ask("alerts")["alerts"] if alert["state"] == "firing"}
+
+
+def test_no_panel_is_empty_and_each_fault_is_seen_on_its_panel_by_the_alerts_and_by_top(tmp_path: Path) -> None:
     with watched_fleet(tmp_path, RULES) as watched:
         assert [text for board in BOARDS.values() for text in empty(watched, board)] == []
         assert [text for board in BOARDS.values() for text in unseen(watched, board)] == []
-        assert unknown_metrics(watched.prometheus) == []
+        assert unknown_metrics(watched.prometheus) == failing(watched.prometheus) == []
+        assert firing(watched.prometheus) >= AT_ONCE
     calm, harmed = watched.screens
     assert [row.state for row in calm.rows if isinstance(row, RobotRow)] == ["tracking", "tracking"]
     assert sum(row.streams for row in calm.rows if isinstance(row, ReplicaRow)) == 2

@@ -7,7 +7,7 @@ from deploy.grafana.boards.promql import events, highest, mean, quantile, quanti
 
 _HERE = 'instance=~"$replica"'
 _WORKER = "{{instance}} {{worker}}"
-_BLIND = rate("splitslam_map_registrations_total", f'{_HERE},result!="observed"')
+_BLIND = rate("splitslam_map_registrations_total", f'{_HERE},result="degenerate"')
 _ALL = rate("splitslam_map_registrations_total", _HERE)
 
 
@@ -216,12 +216,21 @@ REPLICAS = Row(
             "Even, a few seconds after a replica has come or gone.",
             Query(total("splitslam_map_streams", _HERE, "instance"), "{{instance}}"),
             kind="stacked",
+            width=4,
         ),
         lines(
             "Refused",
             "overloaded: capacity. store: the database. others: the robot's configuration.",
             _events("splitslam_map_refused_total", "reason"),
             fault=True,
+            width=5,
+        ),
+        lines(
+            "Callers turned away",
+            "Who may not, by reason: strangers, robots of another name. streams, opens: one robot that floods.",
+            _events("splitslam_map_auth_refused_total", "reason"),
+            fault=True,
+            width=5,
         ),
         lines(
             "Moved and fenced",
@@ -229,12 +238,14 @@ REPLICAS = Row(
             _events("splitslam_map_drained_total", "reason", "sent on: {{reason}}"),
             Query(events("splitslam_map_fenced_total", _HERE), "fenced"),
             fault=True,
+            width=5,
         ),
         lines(
             "Workers that died",
             "And were started again; their robots reconnect by themselves.",
             _events("splitslam_map_worker_restarts_total", "instance"),
             fault=True,
+            width=5,
         ),
     ),
 )
