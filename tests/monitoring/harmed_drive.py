@@ -15,7 +15,7 @@ from rosbags.rosbag1 import Writer
 from splitslam.chaos.agent import Drive
 from splitslam.sim import DEMO, simulate
 
-SECONDS = 32.0
+SECONDS = 38.0
 _SILENT_S = (7.0, 10.0)  # longer than scans wait for their IMU
 _STEP_S, _STEP_BY_S = 14.0, 3600
 _NAN_S = (11.0, 11.02)
