@@ -252,6 +252,22 @@ def demo(
     _show_run(report, out, as_json)
 
 
+@app.command("top")
+def top(
+    endpoints: Annotated[
+        list[str] | None, typer.Argument(metavar="HOST:PORT", help="/metrics of agents and services, or URLs.")
+    ] = None,
+    every: Annotated[float, typer.Option(metavar="S", help="Seconds between two readings.")] = 2.0,
+    once: Annotated[bool, typer.Option("--once", help="Print and exit; 1 when an endpoint gives no answer.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The same as one JSON list.")] = False,
+) -> None:
+    """Edge agents and map services live: state, times, bytes, losses. Without endpoints: those of this machine."""
+    from splitslam.top.command import run_top
+
+    if not run_top(endpoints or (), every, once, as_json):
+        raise typer.Exit(1)
+
+
 @app.command("sim")
 def sim(
     drive: Annotated[str | None, typer.Argument(metavar="DRIVE", help="One of those that --list shows.")] = None,
