@@ -9,6 +9,7 @@ again, so that what is left of it in the rotation from scan to scan is small. Wh
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from dataclasses import dataclass, field, replace
 
@@ -147,7 +148,7 @@ class LiveCheck:
         self._metrics.check_problems.set(len(wrong))
         place = None if verdict is None else verdict.mounting
         if place is not None:
-            self._metrics.check_rotation.set(place.angle_deg)
+            self._metrics.check_rotation.set(math.radians(place.angle_deg))
             self._metrics.check_time_offset.set(place.time_offset_s - place.stated_offset_s)
             self._done = place.unknown_axis is None and 3.0 * place.time_sigma_s < place.delay_limit_s
         for finding in wrong:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.settings import OdometrySettings
@@ -56,7 +56,7 @@ class SourceConfig(Model):
 
 
 class OutputConfig(Model):
-    """dir: online.tum, odom.tum, imu.tum and edge.json. progress: JSON lines on stdout."""
+    """dir: online.tum, odom.tum, imu.tum, metrics.prom and edge.json. progress: JSON lines on stdout."""
 
     dir: Path | None = None
     progress: bool = False
@@ -96,6 +96,25 @@ class SpoolConfig(Model):
     max_bytes: Annotated[int, Field(ge=2**16)] = 2 * 2**30
 
 
+class RawRingConfig(Model):
+    """The last seconds of raw sensor messages, for `splitslam diagnose`; whatever is reached first bounds them.
+
+    dir: should be in memory: a memory card does not want 1 MB/s. null: `raw` in the service's runtime directory;
+    without one none are kept. max_bytes: 60 s of a VLP-16 with an IMU; 0: none are kept.
+    """
+
+    dir: Path | None = None
+    seconds: Positive = 60.0
+    max_bytes: Annotated[int, Field(ge=0)] = 72 * 2**20
+
+    @field_validator("max_bytes")
+    @classmethod
+    def _worth_it(cls, size: int) -> int:
+        if 0 < size < 2**20:
+            raise ValueError("expected 0 or at least 1048576")
+        return size
+
+
 class MetricsConfig(Model):
     """port: null: no /metrics; 0: any free port, which is printed."""
 
@@ -132,12 +151,18 @@ class AgentConfig(Model):
     disable: tuple[Part, ...] = ()
     uplink: UplinkConfig = UplinkConfig()
     spool: SpoolConfig = SpoolConfig()
+    raw_ring: RawRingConfig = RawRingConfig()
     metrics: MetricsConfig = MetricsConfig()
     feed: FeedConfig = FeedConfig()
     log: LogConfig = LogConfig()
     state_dir: Path | None = None
     site_id: str = ""
     map_id: str = ""
+
+    @property
+    def spools(self) -> bool:
+        """There is a directory for the spool."""
+        return self.spool.dir is not None or self.state_dir is not None
 
     @model_validator(mode="after")
     def _not_in_the_clear(self) -> Self:

@@ -11,16 +11,19 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
+from edge_agent.about import write_about
 from edge_agent.check import LiveCheck
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
 from edge_agent.going_on import StartAfter, UnseenMotion
 from edge_agent.imu import make_imu_node
+from edge_agent.kernel_cache import counted
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.odometry.outage import Outages
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
+from edge_agent.raw_ring import RawRing
 from edge_agent.reader import EventQueue, Reader, TimedEvent
 from edge_agent.run_store import RunStore
 from edge_agent.sink import AgentSink, Progress
@@ -33,6 +36,7 @@ from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
+from splitslam.logs import fields, say_always
 from splitslam.notify import Notifier
 from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
@@ -70,6 +74,11 @@ def _robot(config: AgentConfig) -> Robot:
     return load_robot(config.robot).model_copy(update=off)
 
 
+def _raw_ring(config: AgentConfig) -> RawRing | None:
+    folder = config.raw_ring.dir
+    return RawRing(folder, config.raw_ring) if folder is not None and config.raw_ring.max_bytes else None
+
+
 class _Run:
     """One run's parts, in the order in which they start; `cleanup` takes them apart in the reverse one."""
 
@@ -86,20 +95,28 @@ class _Run:
         self._notifier, self._cleanup = notifier, cleanup
         source, robot = config.source, recording.robot
         beams = recording.beam_elevations_rad
+        ring = _raw_ring(config)
+        if ring is not None:
+            recording.tap = ring.add
+            cleanup.callback(ring.close)
         self._imu = make_imu_node(robot, config.imu)
         self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
         node = self._pipeline.image_node
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
         notifier.status("compiling kernels, or reading them from the cache")
-        warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
+        with counted() as kernels:
+            warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
+        metrics.spool_limit.set(config.spool.max_bytes if config.spools else 0)
         hello = self._hello(robot)
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
+        write_about(config, robot, kernels, metrics.port)
         store = self._store
+        say_always(robot_id=robot.robot.id, run_id=store.run.value)
         self._uplink = Uplink(
             config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
         )
@@ -117,6 +134,8 @@ class _Run:
         self._check = LiveCheck(robot, metrics)
         metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
         metrics.clock_step_sources.append(self._sequencer.times.steps)
+        metrics.imu_from(self._imu_gaps, lambda: self._imu.resets, lambda: self._sequencer.uncovered)
+        metrics.scans_from(self._scans, lambda: dict(self._tally.corrections_by_cause))
         self._sink = AgentSink(
             tally=self._tally,
             outputs=outputs,
@@ -184,7 +203,7 @@ class _Run:
             self._tally.end(self._reader.cpu_s)
         self._uplink.close()
         if self._outputs is not None:
-            self._outputs.publish(self._report(finished is None))
+            self._outputs.publish(self._report(finished is None), self._metrics.page())
         self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch_over(self, loop: AgentLoop) -> None:
@@ -225,7 +244,8 @@ class _Run:
             check=self._check,
             outages=self._outages,
         )
-        return AgentLoop(parts, not self._config.source.realtime, self._after.seq + 1)
+        by_the_clock = self._config.source.realtime
+        return AgentLoop(parts, not by_the_clock, self._after.seq + 1, self._reader.due_s if by_the_clock else None)
 
     def _go_on(self) -> None:
         after, newest, welcome = self._after, self._store.spooled, self._uplink.welcome
@@ -237,7 +257,9 @@ class _Run:
         if after.seq:
             self._pipeline.seq, self._tally.first_seq = after.seq, after.seq + 1
             self._pipeline.imu = UnseenMotion(self._imu, after.stamp_ns)
-            _log.warning("run %s continued after scan %d", self._store.run.value, after.seq)
+            _log.warning(
+                "continued after scan %d", after.seq, extra=fields(run_id=self._store.run.value, seq=after.seq)
+            )
 
     def _nothing_usable(self) -> None:
         if self._pipeline.seq == 0:
@@ -250,6 +272,20 @@ class _Run:
     @property
     def _scans_read(self) -> int:
         return self._recording.counts.scans_read - self._after.skipped - self._reader.passed_scans
+
+    def _scans(self) -> dict[str, int]:
+        tally = self._tally
+        return {
+            "read": self._scans_read,
+            "sent": tally.sent,
+            "mapped": tally.mapped,
+            "rejected": tally.rejected,
+            "replayed": tally.replayed,
+        }
+
+    def _imu_gaps(self) -> tuple[int, float]:
+        gaps = getattr(self._imu, "gaps", None)  # the node of a robot without IMU has none
+        return (0, 0.0) if gaps is None else (gaps.count, gaps.seconds)
 
     def _report(self, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""

@@ -5,18 +5,24 @@ No thread, no socket, no clock of its own: uplink.py calls it under its lock. do
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from edge_agent.config import UplinkConfig
+from edge_agent.ending import Ending
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.outbox import Outbox
 from edge_agent.pacer import Pacer
 from edge_agent.recoding import Recoding
 from edge_agent.spool import Spool
-from edge_agent.wire import Answer, answer
+from edge_agent.wire import Answer, answer, state_name
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
+_log = logging.getLogger(__name__)
+_SLOW_S = 1.0  # of a round trip
 _REPORT_EVERY_S = 1.0
 BACKLOG_FRAMES = 10
 ENVELOPE_BYTES = 50  # HTTP/2 and gRPC around a message
@@ -33,14 +39,9 @@ class StreamState:
     bye_sent: bool = False
     waiting_since_s: float | None = None  # for an answer
     answered: bool = False
-    ended: str | None = None
+    ended: Ending | None = None
     retry_after_s: float = 0.0
     other_replica: bool = False
-
-    @property
-    def cause(self) -> str:
-        """A short label for what ended it."""
-        return (self.ended or "closed").split(":")[0].split(" (")[0][:40]
 
 
 class Dialogue:
@@ -84,15 +85,16 @@ class Dialogue:
         replica, self.replica = self.replica, ""
         return replica
 
-    def keep(self, frame: pb.Frame, now_s: float) -> None:
-        """Takes a frame into the outbox; what has to go for it is counted."""
-        self.outbox.add(frame, now_s)
+    def keep(self, frame: pb.Frame, now_s: float, arrived_s: float | None = None) -> None:
+        """Takes a frame into the outbox; what has to go for it is counted. arrived_s: when its scan came."""
+        self.outbox.add(frame, now_s, arrived_s)
         self._count_lost()
         self._gauge()
 
     def _count_lost(self) -> None:
         for lost in self.outbox.lost:
             self._metrics.drop(lost.reason)
+            _log.warning("frame lost", extra=fields(run_id=self.hello.run_id, seq=lost.seq, reason=lost.reason))
         self.outbox.lost.clear()
 
     def set_dropped(self, dropped: Mapping[str, int]) -> None:
@@ -121,6 +123,11 @@ class Dialogue:
         frame = None if self._held_back(now_s) else self.outbox.next_frame()
         self._count_lost()  # what cannot be read from disk any more
         if frame is not None:
+            if (arrived_s := self.outbox.arrived_s(frame.seq)) is not None:
+                self._metrics.scan_age.observe(now_s - arrived_s)
+            if _log.isEnabledFor(logging.DEBUG):
+                said = {"bytes": len(frame.payload), "dense": frame.dense, "follows_seq": frame.follows_seq}
+                _log.debug("frame sent", extra=fields(run_id=self.hello.run_id, seq=frame.seq, **said))
             if stream.waiting_since_s is None:
                 stream.waiting_since_s = now_s
             return pb.StreamRequest(frame=self._recoding.readable(frame))
@@ -151,16 +158,18 @@ class Dialogue:
         depth, size = len(self.outbox), self.outbox.bytes
         return pb.EdgeReport(dropped_by_reason=self._dropped, spool_frames=depth, spool_bytes=size)
 
-    def deadline(self, welcome_within_s: float) -> tuple[float, str]:
+    def deadline(self, welcome_within_s: float) -> tuple[float, Ending]:
         """Until when the stream may go on as it is, and what it then is guilty of."""
         s, stream = self._settings, self.stream
         if not stream.welcomed:  # a replica that builds a long session again gives signs of life, a frozen one none
-            return stream.last_message_s + welcome_within_s, f"no Welcome within {welcome_within_s:g} s"
-        deadline = (stream.last_message_s + s.watchdog_s, f"silent for {s.watchdog_s:g} s")
-        if stream.waiting_since_s is None:
-            return deadline
-        late = (stream.waiting_since_s + s.answer_timeout_s, f"a frame unanswered for {s.answer_timeout_s:g} s")
-        return min(deadline, late)
+            late = Ending("no_welcome", f"no Welcome within {welcome_within_s:g} s")
+            return stream.last_message_s + welcome_within_s, late
+        silent_s = stream.last_message_s + s.watchdog_s
+        silent = silent_s, Ending("silent", f"silent for {s.watchdog_s:g} s")
+        if stream.waiting_since_s is None or silent_s <= stream.waiting_since_s + s.answer_timeout_s:
+            return silent
+        late = Ending("unanswered", f"a frame unanswered for {s.answer_timeout_s:g} s")
+        return stream.waiting_since_s + s.answer_timeout_s, late
 
     # --- what an answer means ---------------------------------------------------------------------------------
 
@@ -168,6 +177,7 @@ class Dialogue:
         """Takes one message of the service."""
         self.stream.last_message_s = now_s
         kind = response.WhichOneof("message")
+        self._metrics.received(str(kind), response.ByteSize())
         if kind == "welcome":
             self._on_welcome(response.welcome)
         elif kind == "odometry":
@@ -179,7 +189,8 @@ class Dialogue:
             self._on_advice(response.advice)
         elif kind == "drain":
             self.replica = response.drain.replica
-            self._end(f"drain: {pb.DrainReason.Name(response.drain.reason)}", response.drain.retry_after_ms)
+            text = f"drain: {pb.DrainReason.Name(response.drain.reason)}"
+            self._end(Ending("drain", text), response.drain.retry_after_ms)
         elif kind == "refused":
             self._on_refused(response.refused)
         elif kind == "finished":
@@ -199,6 +210,7 @@ class Dialogue:
         self._reported = ({}, 0)  # counts since the run began: saying them again is no harm
         self._report_s = float("-inf")
         self._metrics.connects.inc()
+        self._metrics.connected.set(1)
         self.first_welcome = self.first_welcome or welcome
 
     def _on_odometry(self, message: pb.Odometry, now_s: float) -> None:
@@ -207,10 +219,23 @@ class Dialogue:
         self.stream.waiting_since_s = now_s if self.outbox.in_flight else None
         if held is None:
             known = message.duplicate or self.outbox.was_answered(message.seq)
-            self._metrics.ignored.labels("duplicate" if known else "unexpected").inc()
+            self._metrics.ignored.inc("duplicate" if known else "unexpected")
             return
         self.stream.answered = True
         self.answers.append(answer(message, now_s - held.queued_s))
+        self._note(self.answers[-1])
+
+    def _note(self, answer: Answer) -> None:
+        """Each answer at debug; a rejection, or one that was long in coming, for whoever looks after the robot."""
+        reply, slow = answer.reply, answer.round_trip_s > _SLOW_S
+        level = logging.WARNING if reply.rejected else logging.INFO if slow else logging.DEBUG
+        if not _log.isEnabledFor(level):
+            return
+        event = "frame rejected" if reply.rejected else "frame slow" if slow else "frame answered"
+        said: dict[str, Any] = {"round_trip_ms": round(answer.round_trip_s * 1e3, 1), "state": state_name(reply.state)}
+        if reply.rejected:
+            said["reason"] = reply.rejected
+        _log.log(level, event, extra=fields(run_id=self.hello.run_id, seq=reply.seq, **said))
 
     def _on_advice(self, advice: pb.Advice) -> None:
         """max_kbps 0: no limit of the service's; an Advice that only wants a dense frame leaves the limit alone."""
@@ -232,10 +257,10 @@ class Dialogue:
             self.failure = f"the map service refused the session ({name}): {refused.detail}"
             self.over = refused.reason == pb.REFUSED_REASON_FINISHED
         else:
-            self._end(f"refused ({name}): {refused.detail}", refused.retry_after_ms)
+            self._end(Ending("refused", f"refused ({name}): {refused.detail}"), refused.retry_after_ms)
 
-    def _end(self, reason: str, retry_after_ms: int) -> None:
-        self.stream.ended = reason
+    def _end(self, ending: Ending, retry_after_ms: int) -> None:
+        self.stream.ended = ending
         self.stream.retry_after_s = retry_after_ms * 1e-3
         self.stream.other_replica = True
 

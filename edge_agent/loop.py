@@ -6,7 +6,8 @@ By the clock: answers are applied as they come and nobody waits.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import logging
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -24,12 +25,15 @@ from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
-from splitslam.scan import ImuSamples, ScanPacket, WheelSamples
+from splitslam.logs import fields
+from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 from splitslam.wire import session_pb2 as pb
 
+_log = logging.getLogger(__name__)
 UNANCHORED = 4
 Item = ImuSamples | WheelSamples | ScanPacket
 _SILENT_NS = 1_500_000_000  # without an answered scan, as when the LiDAR is unplugged, the pose is the edge's own
+_STREAMS = {Scan: "lidar", ImuSamples: "imu", WheelSamples: "wheels", GnssFix: "gnss"}
 _LAG = 2  # scan k sees the odometry of scans <= k - 2
 
 
@@ -72,7 +76,7 @@ class Uplink(Protocol):
     def limit_kbps(self) -> float | None: ...
     @property
     def backlog(self) -> bool: ...
-    def send(self, frame: pb.Frame) -> None: ...
+    def send(self, frame: pb.Frame, arrived_s: float | None = None) -> None: ...
     def take_answers(self) -> list[Answer]: ...
     def take_want_dense(self) -> bool: ...
     def wait_answered(self, seq: int) -> bool: ...
@@ -114,10 +118,15 @@ class Parts:
 
 
 class AgentLoop:
-    """Runs one recording or one live run; single-threaded. first_seq: frames before it are those of another agent."""
+    """Runs one recording or one live run; single-threaded. first_seq: frames before it are those of another agent.
 
-    def __init__(self, parts: Parts, lockstep: bool, first_seq: int = 1) -> None:
-        self._parts, self._lockstep, self._first_seq = parts, lockstep, first_seq
+    came_s: an arrival time as the source says it, ns, to the system's monotonic clock, s; None in lockstep.
+    """
+
+    def __init__(
+        self, parts: Parts, lockstep: bool, first_seq: int = 1, came_s: Callable[[int], float] | None = None
+    ) -> None:
+        self._parts, self._lockstep, self._first_seq, self._came_s = parts, lockstep, first_seq, came_s
         self._held_back: list[Answer] = []
         self._answered_ns: int | None = None
         self._now_ns = 0  # of the newest scan or IMU-rate pose
@@ -142,6 +151,7 @@ class AgentLoop:
             if parts.check is not None:
                 parts.check.on_event(event)
             items += parts.sequencer.push(event, arrival_ns)
+        parts.metrics.heard({_STREAMS[type(event)] for _, event in batch})
         self._take(items)
 
     def finish(self) -> bool:
@@ -197,17 +207,27 @@ class AgentLoop:
             parts.pipeline.dense.wanted |= parts.uplink.take_want_dense()
             parts.pipeline.rate.backlog = parts.uplink.backlog
         limit_kbps = parts.pipeline.rate.limit_kbps = parts.uplink.limit_kbps
-        parts.metrics.limit_kbps.set(float("nan") if limit_kbps is None else limit_kbps)
-        parts.metrics.withheld_points.set(parts.pipeline.rate.withheld_points)
+        parts.metrics.limit_kbps(limit_kbps)
+        parts.metrics.withheld_points = parts.pipeline.rate.withheld_points
         parts.sink.on_scan_begun()
         try:
             frame = parts.pipeline.process(packet)
         except DataError as error:
             parts.metrics.drop(error.reason)
+            said = fields(stamp_ns=packet.scan.stamp_ns, reason=error.reason, detail=error.detail)
+            _log.log(logging.DEBUG if error.reason == "budget" else logging.WARNING, "scan dropped", extra=said)
             return
         parts.metrics.stages(frame.stage_cpu_ms, frame.stage_wall_ms)
-        parts.uplink.send(parts.sink.on_frame(frame, parts.imu.T_odom_lidar_at(frame.stamp_ns)))
+        parts.metrics.frame(frame.dense, len(frame.payload), frame.corners + frame.surfs)
+        message = parts.sink.on_frame(frame, parts.imu.T_odom_lidar_at(frame.stamp_ns))
+        parts.uplink.send(message, self._arrived_s(packet))
         self._place(frame)
+
+    def _arrived_s(self, packet: ScanPacket) -> float | None:
+        """When the scan came, on the system's monotonic clock; None in lockstep, where nothing comes by the clock."""
+        if self._came_s is None or packet.arrival_ns is None:
+            return None
+        return self._came_s(packet.arrival_ns)
 
     def _place(self, frame: EncodedFrame) -> None:
         """While no answers come, the edge's own odometry takes the service's place."""
@@ -231,7 +251,7 @@ class AgentLoop:
         self._held_back.sort(key=lambda answer: answer.reply.seq)
         while self._held_back and (up_to_seq is None or self._held_back[0].reply.seq <= up_to_seq):
             answer = self._held_back.pop(0)
-            parts.metrics.round_trip.observe_s(answer.round_trip_s)
+            parts.metrics.answered(answer.round_trip_s)
             if answer.reply.rejected:
                 parts.metrics.drop(f"rejected_{answer.reply.rejected}")
             own = answer.reply.seq >= self._first_seq

@@ -20,7 +20,7 @@ _MOVED_AT_ONCE = 50  # frames that go to disk with a new one after the disk was 
 @dataclass(slots=True)
 class Held:
     """One kept frame. frame: None while it is on disk only. answered: its first answer was handed on, or an agent
-    before had it. sent: on the present stream. inherited: made by an agent before."""
+    before had it. sent: on the present stream. inherited: made by an agent before. arrived_s: when its scan came."""
 
     frame: pb.Frame | None
     size: int
@@ -28,6 +28,7 @@ class Held:
     answered: bool = False
     sent: bool = False
     inherited: bool = False
+    arrived_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +94,18 @@ class Outbox:
     def unsent(self) -> int:
         return len(self._unsent)
 
+    def arrived_s(self, seq: int) -> float | None:
+        """When the scan of a kept frame came, on the clock of `add`; None: not known."""
+        return self._held[seq].arrived_s
+
     def first_unanswered(self) -> int | None:
         """Lowest seq that still waits for its first answer."""
         return next((seq for seq, held in self._held.items() if not held.answered), None)
 
-    def add(self, frame: pb.Frame, now_s: float) -> None:
+    def add(self, frame: pb.Frame, now_s: float, arrived_s: float | None = None) -> None:
         """Keeps `frame`, whose seq is above all others; what makes room for it is `lost`."""
         size = frame.ByteSize()
-        self._held[frame.seq] = Held(frame, size, now_s)
+        self._held[frame.seq] = Held(frame, size, now_s, arrived_s=arrived_s)
         self._unsent[frame.seq] = None
         self.bytes += size
         self._memory.add(frame.seq, size, frame.dense)

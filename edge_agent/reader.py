@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -114,9 +115,14 @@ class Reader(threading.Thread):
         self._events, self._queue, self._realtime = events, queue, realtime
         self._stopped = threading.Event()
         self._began_s = began_s if realtime else None
+        self._origin_s = float("nan")
         self.cpu_s = 0.0
         self.pulse = Pulse("source")
         self.passed_scans = 0
+
+    def due_s(self, arrival_ns: int) -> float:
+        """When what the recording says came at `arrival_ns` is due, on the monotonic clock; by the clock only."""
+        return self._origin_s + arrival_ns * 1e-9
 
     def stop(self) -> None:
         """Ends the reading and the loop at once."""
@@ -148,15 +154,14 @@ class Reader(threading.Thread):
 
     def _read(self) -> None:
         batch: list[TimedEvent] = []
-        origin_s: float | None = None
         listening = self._began_s is None
         for event in self._pulled():
             self.cpu_s = time.thread_time()
             if self._realtime:
                 now_s = time.monotonic()
-                if origin_s is None:
-                    origin_s = (now_s if self._began_s is None else self._began_s) - event[0] * 1e-9
-                wait_s = origin_s + event[0] * 1e-9 - now_s
+                if math.isnan(self._origin_s):
+                    self._origin_s = (now_s if self._began_s is None else self._began_s) - event[0] * 1e-9
+                wait_s = self.due_s(event[0]) - now_s
                 listening = listening or wait_s >= 0
                 if not listening:
                     self.passed_scans += isinstance(event[1], Scan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,11 +19,22 @@ _log = logging.getLogger(__name__)
 
 
 def in_service_folders(config: AgentConfig, environment: Mapping[str, str]) -> AgentConfig:
-    """With $STATE_DIRECTORY as state_dir when the configuration names none (systemd.exec(5), StateDirectory=)."""
-    state = environment.get("STATE_DIRECTORY", "").partition(":")[0]
-    if state and config.state_dir is None:
-        config = config.model_copy(update={"state_dir": Path(state)})
+    """With the folders of systemd.exec(5), where the configuration names none.
+
+    $STATE_DIRECTORY becomes state_dir, and `raw` in $RUNTIME_DIRECTORY, which is in memory, raw_ring.dir.
+    """
+    if config.state_dir is None and (state := _folder(environment, "STATE_DIRECTORY")):
+        config = config.model_copy(update={"state_dir": state})
+    if config.raw_ring.dir is None and (runtime := _folder(environment, "RUNTIME_DIRECTORY")):
+        ring = config.raw_ring.model_copy(update={"dir": runtime / "raw"})
+        config = config.model_copy(update={"raw_ring": ring})
     return config
+
+
+def _folder(environment: Mapping[str, str], name: str) -> Path | None:
+    """The first of those that the variable lists."""
+    value = environment.get(name, "").partition(":")[0]
+    return Path(value) if value else None
 
 
 class Reloader(threading.Thread):
@@ -49,13 +61,11 @@ class Reloader(threading.Thread):
 
     def _reload(self) -> str:
         try:
-            new = load(AgentConfig, self._path, ENVIRONMENT_PREFIX)
+            new = in_service_folders(load(AgentConfig, self._path, ENVIRONMENT_PREFIX), os.environ)
         except InputError as error:
             _log.error("not reloaded: %s", error)
             return f"not reloaded: {error}"
         running = self._config
-        if new.state_dir is None:  # what systemd has given stays
-            new = new.model_copy(update={"state_dir": running.state_dir})
         configure_logs(new.log.format, new.log.level)
         self._config = running.model_copy(update={"log": new.log})
         waiting = changed_keys(running.model_dump(exclude={"log"}), new.model_dump(exclude={"log"}))

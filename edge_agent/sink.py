@@ -88,7 +88,7 @@ class AgentSink:
 
     def on_correction(self, correction: Correction) -> None:
         """`map` moved under the robot, as the map service is back; cause `outage`."""
-        self.tally.correction(correction.translation_m)
+        self.tally.correction("outage", correction.translation_m)
 
     def on_poses(self, poses: OdomPoses, imu: Imu, state: int) -> None:
         """New IMU-rate poses."""

@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 import grpc
 
+from edge_agent.ending import Ending
 from splitslam.security.client import Connector
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
@@ -43,7 +44,7 @@ class Stream:
         replica: str,
         next_request: Callable[[Stream], pb.StreamRequest | None],
         on_response: Callable[[Stream, pb.StreamResponse], None],
-        on_end: Callable[[Stream, str], None],
+        on_end: Callable[[Stream, Ending], None],
     ) -> None:
         self._connector = connector
         self._next_request, self._on_response, self._on_end = next_request, on_response, on_end
@@ -60,18 +61,18 @@ class Stream:
             yield request
 
     def _read(self) -> None:
-        reason = "ended by the server"
+        ending = Ending("ended_by_server", "ended by the server")
         try:
             for number, response in enumerate(self._call):
                 if number == 0:  # now the proxy's word is there; none: it did as it was told
                     self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
                 self._on_response(self, response)
         except grpc.RpcError as error:
-            reason = f"{_reason(error)}{self._connector.trouble()}"
+            ending = _ending(error, self._connector.trouble())
         except Exception:  # a defect of ours must break the stream loudly, not leave it silent
             _log.exception("uplink reader failed")
-            reason = "internal error"
-        self._on_end(self, reason)
+            ending = Ending("internal", "internal error")
+        self._on_end(self, ending)
 
     def close(self) -> None:
         """Cancels what is left and waits for the reader."""
@@ -80,7 +81,9 @@ class Stream:
         self._channel.close()
 
 
-def _reason(error: grpc.RpcError) -> str:
+def _ending(error: grpc.RpcError, trouble: str) -> Ending:
+    """trouble: what the connection had, if anything."""
     if isinstance(error, grpc.Call):
-        return f"{error.code().name}: {error.details()}"
-    return str(error)
+        status = error.code().name
+        return Ending(status.lower(), f"{status}: {error.details()}{trouble}")
+    return Ending("unknown", f"{error}{trouble}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,7 +33,7 @@ class Tally:
     mapped: int = 0
     rejected: int = 0
     replayed: int = 0
-    corrections: int = 0
+    corrections_by_cause: Counter[str] = field(default_factory=Counter)
     correction_max_m: float = 0.0
     stamps_ns: list[int] = field(default_factory=list)
     frame_bytes: list[int] = field(default_factory=list)
@@ -71,11 +72,15 @@ class Tally:
             return
         self.mapped += 1
         if answer.correction_m is not None:
-            self.correction(answer.correction_m)
+            self.correction(answer.correction_cause, answer.correction_m)
 
-    def correction(self, size_m: float) -> None:
+    @property
+    def corrections(self) -> int:
+        return self.corrections_by_cause.total()
+
+    def correction(self, cause: str, size_m: float) -> None:
         """T_map_odom has jumped, for a stated cause."""
-        self.corrections += 1
+        self.corrections_by_cause[cause] += 1
         self.correction_max_m = max(self.correction_max_m, size_m)
 
     def times(self) -> dict[str, Any]:

@@ -14,12 +14,14 @@ from collections.abc import Callable, Mapping
 from edge_agent.backoff import Backoff, jittered, welcome_timeout_s
 from edge_agent.config import UplinkConfig, split_server
 from edge_agent.dialogue import BACKLOG_FRAMES, Dialogue, StreamState
+from edge_agent.ending import Ending
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.spool import Spool
 from edge_agent.stream import Stream
 from edge_agent.tcp_meter import TcpBytes, TcpMeter
 from edge_agent.wire import Answer
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
 from splitslam.wire import session_pb2 as pb
@@ -102,11 +104,14 @@ class Uplink:
         with self._changed:
             return len(self._dialogue.outbox)
 
-    def send(self, frame: pb.Frame) -> None:
-        """Queues a frame (seq above all before). A full buffer drops the oldest that is not dense, and counts it."""
+    def send(self, frame: pb.Frame, arrived_s: float | None = None) -> None:
+        """Queues a frame (seq above all before). A full buffer drops the oldest that is not dense, and counts it.
+
+        arrived_s: when its scan came, on the system's monotonic clock; None: not known.
+        """
         with self._changed:
             self._raise_failure()
-            self._dialogue.keep(frame, time.monotonic())
+            self._dialogue.keep(frame, time.monotonic(), arrived_s)
             self._changed.notify_all()
 
     def take_answers(self) -> list[Answer]:
@@ -227,8 +232,11 @@ class Uplink:
                 if limit_s is not None and now_s - down_since_s >= limit_s:
                     self._fail(f"expected a map service there, none answered within {limit_s:g} s ({state.ended})")
                     return
-                self._metrics.reconnects.labels(state.cause).inc()
-                _log.info("stream to %s broke: %s", self._server, state.ended)
+                cause = state.ended.cause if state.ended else "unknown"
+                self._metrics.reconnects.inc(cause)
+                run_id = self._dialogue.hello.run_id
+                said = fields(run_id=run_id, server=self._server, cause=cause, detail=str(state.ended))
+                _log.info("stream broke", extra=said)
                 if state.other_replica or not state.welcomed:
                     self._dialogue.hello.attempt += 1
                 delay_s = max(backoff.next_s(), jittered(state.retry_after_s))
@@ -242,13 +250,14 @@ class Uplink:
             hello, replica = self._dialogue.hello, self._dialogue.take_replica()
             stream = self._stream = Stream(self._connector, hello, replica, *callbacks)
             while state.ended is None and not self._over and self._dialogue.finished is None:
-                deadline_s, reason = self._dialogue.deadline(welcome_within_s)
+                deadline_s, ending = self._dialogue.deadline(welcome_within_s)
                 if (left_s := deadline_s - time.monotonic()) <= 0:
-                    state.ended, state.other_replica = reason, True
+                    state.ended, state.other_replica = ending, True
                     break
                 self._changed.wait(left_s)
             if not state.other_replica:  # a link that broke: the replica may still hold the session in memory
                 self._dialogue.replica = stream.replica
+            self._metrics.connected.set(0)
             self._stream = None  # from here on its callbacks find themselves outdated
             self._changed.notify_all()
         self._meter.discover()
@@ -282,8 +291,8 @@ class Uplink:
                 self._fail(self._dialogue.failure)
             self._changed.notify_all()
 
-    def _on_end(self, stream: Stream, reason: str) -> None:
+    def _on_end(self, stream: Stream, ending: Ending) -> None:
         with self._changed:
             if self._stream is stream and self._dialogue.stream.ended is None:
-                self._dialogue.stream.ended = reason
+                self._dialogue.stream.ended = ending
                 self._changed.notify_all()

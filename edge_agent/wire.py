@@ -22,7 +22,7 @@ EDGE_ONLY = "wheels"  # a part to disable that the service has not, and that one
 class Answer:
     """One answer for the Imu node and what the outputs need besides.
 
-    keyframe: a keyframe was made. correction_m: size of a stated jump of T_map_odom, or None.
+    keyframe: a keyframe was made. correction_m, correction_cause: of a stated jump of T_map_odom; None, "" without.
     round_trip_s: from the frame's hand-over to the uplink to its answer.
     """
 
@@ -30,6 +30,7 @@ class Answer:
     keyframe: bool
     correction_m: float | None
     round_trip_s: float
+    correction_cause: str = ""
 
 
 def state_name(state: int) -> str:
@@ -102,5 +103,8 @@ def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
         degenerate_axes=axes,
         rejected=rejected,
     )
-    stated = message.correction.cause != types.CORRECTION_CAUSE_UNSPECIFIED
-    return Answer(reply, message.keyframe, message.correction.translation_m if stated else None, round_trip_s)
+    if message.correction.cause == types.CORRECTION_CAUSE_UNSPECIFIED:
+        return Answer(reply, message.keyframe, None, round_trip_s)
+    known = types.CorrectionCause.DESCRIPTOR.values_by_number.get(message.correction.cause)
+    cause = "other" if known is None else known.name.removeprefix("CORRECTION_CAUSE_").lower()
+    return Answer(reply, message.keyframe, message.correction.translation_m, round_trip_s, cause)

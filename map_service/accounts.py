@@ -30,6 +30,7 @@ class SessionAccounts:
         self._before_ms = float(json.loads(stored).get("cpu_ms", 0.0)) if stored else 0.0
         self._written_s = time.monotonic()
         self._edge: dict[str, Any] = {}
+        self.backlog_frames = 0  # that wait on the robot, as it says
 
     def note_front(self, front_cpu_ns: int) -> None:
         """CPU time of the front as of the message at hand."""
@@ -42,6 +43,7 @@ class SessionAccounts:
             "spool_frames": report.spool_frames,
             "spool_bytes": report.spool_bytes,
         }
+        self.backlog_frames = report.spool_frames
 
     @contextmanager
     def timed(self) -> Iterator[None]:

@@ -174,7 +174,7 @@ def _batches(connection: Connection, table: Table, columns: list[Column]) -> Ite
     """Rows in the order of their primary key."""
     query = select(*columns).order_by(*table.primary_key.columns)
     size = _BATCH.get(table.name, _ROWS)
-    with connection.execution_options(yield_per=size).execute(query) as rows:
+    with connection.execute(query.execution_options(yield_per=size)) as rows:
         for batch in rows.partitions():
             yield list(batch)
 

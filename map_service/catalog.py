@@ -71,7 +71,7 @@ class Catalog:
                 .where(f.c.session == key, f.c.rejected == "")
                 .order_by(f.c.seq)
             )
-            with connection.execution_options(yield_per=_PAGE_ROWS).execute(query) as rows:
+            with connection.execute(query.execution_options(yield_per=_PAGE_ROWS)) as rows:
                 for page in rows.partitions():
                     yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
@@ -85,7 +85,8 @@ class Catalog:
                 .where(k.c.session == key)
                 .order_by(k.c.keyframe)
             )
-            with connection.execution_options(yield_per=16).execute(query) as rows:
+            # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through
+            with connection.execute(query.execution_options(yield_per=16)) as rows:
                 for index, pose, cloud in rows:
                     yield StoredKeyframe(index, unpack_pose(pose), cloud)
 

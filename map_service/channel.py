@@ -94,19 +94,46 @@ class Handed:
 
 
 @dataclass(frozen=True, slots=True)
+class RobotStanding:
+    """One session as its worker sees it. stream: None without one. times on the system's monotonic clock."""
+
+    session_id: str
+    stream: int | None
+    state: int
+    scans: int
+    last_stamp_ns: int
+    opened_s: float
+    undurable_frames: int
+    backlog_frames: int
+    position_sigma_m: float
+    rotation_sigma_rad: float
+
+    @property
+    def robot_id(self) -> str:
+        return self.session_id.partition("/")[0]
+
+
+@dataclass(frozen=True, slots=True)
 class Beat:
     """Sign of life twice a second: what happened since the last one, and where every open stream stands.
 
-    counts: (metric, label values...) -> increment. observations: (metric, value).
+    counts: (metric, label values...) -> increment. observations: ((metric, label values...), value).
     busy_s: how long the pipeline thread has been at its present job. durable: stream -> durable_seq.
+    sessions: number by state. robots: each of them, where gauges by robot are wanted.
+    queue_messages, undurable_frames: what waits for the thread, and for the store. cpu_s: loop verifiers included.
     """
 
     counts: dict[tuple[str, ...], float]
-    observations: list[tuple[str, float]]
+    observations: list[tuple[tuple[str, ...], float]]
     busy_s: float
     durable: dict[int, int]
     sessions: dict[str, int]
     released: list[str] = field(default_factory=list)
+    robots: list[RobotStanding] = field(default_factory=list)
+    queue_messages: int = 0
+    undurable_frames: int = 0
+    cpu_s: float = 0.0
+    resident_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)

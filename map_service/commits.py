@@ -13,6 +13,7 @@ from map_service.database import StoreError
 from map_service.rows import SessionCommit
 from map_service.store import FencedError, Store
 from map_service.tally import Tally
+from splitslam.logs import fields
 
 FLUSH_S = 2.0
 _RETRY_FIRST_S = 0.05
@@ -70,9 +71,9 @@ class Committer:
             self._trying_since_s, self._failing = None, False
         self._tally.count("commits", "ok")
         self._tally.observe("commit_seconds", time.monotonic() - start_s)
-        for factor in entry.commit.factors:
-            if factor.kind in ("loop", "gnss"):
-                self._tally.count("loops" if factor.kind == "loop" else "gnss", "factor")
+        self._tally.observe("commit_bytes", entry.bytes)
+        for (metric, label), count in entry.commit.outcomes.items():
+            self._tally.count(metric, label, by=count)
 
     def _write_until_done(self, key: int, epoch: int, entry: SessionCommit) -> None:
         start_s, wait_s = time.monotonic(), _RETRY_FIRST_S
@@ -85,13 +86,13 @@ class Committer:
                 if time.monotonic() + wait_s > self._until_s:
                     raise
                 if not self._failing:
-                    _log.warning("the store is away", extra={"fields": {"detail": str(error)}})
+                    _log.warning("the store is away", extra=fields(detail=str(error)))
                 self._failing = True
                 self._tally.count("commits", "retried")
             time.sleep(wait_s)
             wait_s = min(2 * wait_s, _RETRY_CAP_S)
         if self._failing:
-            _log.info("the store is back", extra={"fields": {"after_s": round(time.monotonic() - start_s, 3)}})
+            _log.info("the store is back", extra=fields(after_s=round(time.monotonic() - start_s, 3)))
 
 
 class CommitLog:
@@ -110,9 +111,14 @@ class CommitLog:
         return bool(self._pending)
 
     @property
+    def undurable(self) -> int:
+        """Frames applied and not durable."""
+        return self.applied_seq - self.durable_seq
+
+    @property
     def full(self) -> bool:
         """So much is applied and not durable that nothing more may be applied: memory is bounded."""
-        return self.applied_seq - self.durable_seq >= self._config.backlog_frames
+        return self.undurable >= self._config.backlog_frames
 
     def due(self) -> bool:
         """By time or by number of frames, also when the robot stands."""

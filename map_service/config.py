@@ -17,10 +17,12 @@ SESSIONS_A_WORKER = 10
 
 
 class MetricsConfig(Model):
-    """Where /metrics is served."""
+    """Where /metrics is served, and whether it has gauges for each robot (docs/metrics.md)."""
 
     host: str = "127.0.0.1"
     port: int | None = Field(default=9465, ge=0, le=65535, description="0: a free port; null: no metrics")
+    per_robot: bool = Field(default=False, description="gauges by robot id, while it has a session here")
+    robots: int = Field(default=100, ge=1, le=10_000, description="so many robots have series; others are counted")
 
 
 class LogConfig(Model):
@@ -129,6 +131,11 @@ class ServiceConfig(Model):
     def _not_in_the_clear(self) -> Self:
         self.tls.check(self.listen)
         return self
+
+    @property
+    def name(self) -> str:
+        """This replica, in log lines."""
+        return self.replica.address or self.listen
 
     @property
     def worker_count(self) -> int:

@@ -10,6 +10,7 @@ from map_service.callers import Callers
 from map_service.metrics import ServiceMetrics
 from map_service.revoked import RevokedList
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.certificates import CertificateFiles, Certificates
 from splitslam.security.loopback import is_loopback
 from splitslam.security.settings import ServerTls
@@ -36,7 +37,7 @@ class Door:
         tokens = TokenTable(tls.tokens) if tls.tokens is not None else None
         revoked = RevokedList(tls.revoked) if tls.revoked is not None else None
         self.callers = Callers(own.fleet, tokens, revoked)
-        metrics.certificate_expiry.set_function(lambda: self._certificates().expires_s)
+        metrics.certificate_from(lambda: self._certificates().expires_s)
 
     def _certificates(self) -> Certificates:
         assert self._files is not None
@@ -49,7 +50,7 @@ class Door:
                 _log.warning(
                     "INSECURE: robots and operators are believed whatever they say, and everybody on the way can read"
                     " it (tls.insecure)",
-                    extra={"fields": {"listen": listen}},
+                    extra=fields(listen=listen),
                 )
             return server.add_insecure_port(listen)
         self._given = self._files.current()

@@ -17,9 +17,11 @@ from map_service.client_limits import Bucket, ClientLimits, wait_turn
 from map_service.config import ServiceConfig
 from map_service.hello import RefusedError, session_id_of
 from map_service.membership import Peers, as_hint
+from map_service.messages import refusal_word
 from map_service.metrics import ServiceMetrics
 from map_service.streams import End, RobotStream
 from map_service.workers import WorkerPool, WorkerProcess
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _REASSURE_S = 0.15
@@ -82,16 +84,21 @@ class EdgeFront:
             asyncio.create_task(self._reassure(worker, stream)),
             asyncio.create_task(self._watch(caller, stream)),
         ]
+        status = "cancelled"  # by the robot, the link or the proxy
         try:
             while not isinstance(item := await stream.outbox.get(), End):
+                self._metrics.sent_bytes.inc(by=len(item))
                 yield item
-            if item.status is not None:
-                await context.abort(item.status, item.detail)
+            status = "ok" if item.status is None else item.status.name.lower()
         finally:
             for task in tasks:
                 task.cancel()
             stream.end()
             await self._pool.close(worker, stream)
+            self._metrics.stream_ends.inc(status)
+            _log.info("stream ended", extra=fields(session_id=session_id, status=status))
+        if item.status is not None:  # when nobody reads from it any more
+            await context.abort(item.status, item.detail)
 
     def _count_open(self, change: int) -> None:
         self._open += change
@@ -126,15 +133,15 @@ class EdgeFront:
             refused, denied = refusal.message, ""
         else:
             denied = refusal.reason
-            self._metrics.denied.labels(denied).inc()
+            self._metrics.denied.inc(denied)
             refused = _as_told(refusal)
         self._count_refusal(refused, denied)
         return refused
 
     def _count_refusal(self, refused: pb.Refused, denied: str = "") -> None:
-        reason = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
-        self._metrics.refused.labels(reason).inc()
-        _log.warning("refused", extra={"fields": {"reason": denied or reason, "detail": refused.detail}})
+        reason = refusal_word(refused)
+        self._metrics.refused.inc(reason)
+        _log.warning("refused", extra=fields(reason=denied or reason, detail=refused.detail))
 
     async def _reassure(self, worker: WorkerProcess, stream: RobotStream) -> None:
         """Signs of life before Welcome: a long session takes a while to be built again, a robot leaves after 0.5 s."""
@@ -159,6 +166,7 @@ class EdgeFront:
         try:
             async for body in requests:
                 await self._pace(turns)
+                self._metrics.received_bytes.inc(by=len(body))
                 if stream.leaving:  # the next replica gets it
                     return
                 if pb.StreamRequest.FromString(body).HasField("frame"):
@@ -167,7 +175,7 @@ class EdgeFront:
         except WireError:
             stream.end(grpc.StatusCode.INVALID_ARGUMENT, "not a StreamRequest")
         except Exception:
-            _log.exception("stream failed", extra={"fields": {"session": stream.session_id}})
+            _log.exception("stream failed", extra=fields(session_id=stream.session_id))
             stream.end(grpc.StatusCode.INTERNAL, "the stream failed: see the service's log")
 
     async def _pace(self, turns: Bucket) -> None:
@@ -177,11 +185,12 @@ class EdgeFront:
     def drain(self, peers: Peers) -> None:
         """No new streams, no more frames; robots will hear where to go once their sessions are handed over."""
         self._draining = True
+        self._metrics.draining.set(1)
         streams = self._pool.streams
         for stream, address in zip_longest(streams, peers.rooms(len(streams)), fillvalue=""):
             assert isinstance(stream, RobotStream)
             stream.leave(pb.Drain(reason=pb.DRAIN_REASON_SHUTDOWN, replica=as_hint(str(address))))
-            self._metrics.drained.labels("shutdown").inc()
+            self._metrics.drained.inc("shutdown")
 
 
 def _as_told(denied: DeniedError) -> pb.Refused:

@@ -15,9 +15,10 @@ from map_service.config import RetentionConfig, ServiceConfig
 from map_service.database import StoreError
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store
+from splitslam.logs import fields
+from splitslam.metrics import OTHER
 
 DAY_S = 86_400.0
-OTHER = "other"
 _LOCK = 0x53504C55  # PostgreSQL's advisory lock of the replica that deletes
 
 _log = logging.getLogger(__name__)
@@ -46,9 +47,8 @@ class Retention:
             return []
         removed = []
         while (one := self._remove_one(now_s)) is not None:
-            _log.info("session deleted by retention", extra={"fields": {
-                "session": one.session_id, "site": one.site_id, "frames": one.frames, "bytes": one.bytes,
-            }})  # fmt: skip
+            said = fields(session_id=one.session_id, site_id=one.site_id, frames=one.frames, bytes=one.bytes)
+            _log.info("session deleted by retention", extra=said)
             removed.append(one)
         return removed
 
@@ -104,17 +104,17 @@ class Housekeeper:
         try:
             for removed in self._retention.run(time.time()):
                 self._metrics.retention.inc()
-                self._metrics.retention_bytes.inc(removed.bytes)
+                self._metrics.retention_bytes.inc(by=removed.bytes)
             self._measure()
         except StoreError as error:
-            _log.warning("housekeeping failed", extra={"fields": {"detail": str(error)}})
+            _log.warning("housekeeping failed", extra=fields(detail=str(error)))
 
     def _measure(self) -> None:
         """By site only for those that the configuration names: labels are bounded."""
-        named = {*self._config.quota.sites, *self._config.retention.sites}
+        named = self._metrics.sites
         by_site = dict.fromkeys([*named, OTHER], 0)
         for site, size in self._catalog.bytes_by_site().items():
             by_site[site if site in named else OTHER] += size
         for site, size in by_site.items():
-            self._metrics.store_bytes.labels(site).set(size)
+            self._metrics.store_bytes.set(size, site)
         self._metrics.database_bytes.set(self._store.size_bytes())

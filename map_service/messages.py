@@ -43,6 +43,11 @@ def odometry(answer: MapAnswer) -> pb.Odometry:
     return message
 
 
+def refusal_word(refused: pb.Refused) -> str:
+    """Its reason as a word: `overloaded`, `bad_hello`, ..."""
+    return pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
+
+
 def fixes_from_wire(messages: list[types_pb.GnssFix]) -> tuple[list[GnssFix], int]:
     """Fixes that can be used, and how many could not."""
     fixes = [_fix(m) for m in messages if _usable(m)]

@@ -2,103 +2,118 @@
 
 from __future__ import annotations
 
-import threading
-from typing import get_args
-from wsgiref.simple_server import WSGIServer
+import math
+from collections.abc import Callable, Mapping
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
+from prometheus_client import CollectorRegistry, ProcessCollector
 
-from map_service.callers import Reason
+from map_service import metric_list as m
 from map_service.channel import Beat
-from map_service.config import MetricsConfig
-from map_service.types import State
-from splitslam.errors import InputError
-
-_ANSWER_BUCKETS_S = (0.002, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06, 0.1, 0.2, 0.5, 1, 2, 5)
-_COMMIT_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5)
-STATES = (*(s.name.lower() for s in State), "detached")
+from map_service.config import ServiceConfig
+from map_service.robot_gauges import RobotGauges
+from splitslam.metrics import OTHER, Family, Metric, Page, collect, show_build
 
 
 class ServiceMetrics:
-    """One registry. Label sets are bounded: nothing a robot says becomes a label."""
+    """One registry. Label sets are bounded: nothing a robot says becomes a label, but in `robots`, switched on."""
 
-    def __init__(self) -> None:
-        self.registry = r = CollectorRegistry()
-        self.answer_seconds = Histogram(
-            "splitslam_map_answer_seconds", "Frame received to answer sent", registry=r, buckets=_ANSWER_BUCKETS_S
-        )
-        self.commit_seconds = Histogram(
-            "splitslam_map_commit_seconds", "One commit, tries included", registry=r, buckets=_COMMIT_BUCKETS_S
-        )
-        self.sessions = Gauge(
-            "splitslam_map_sessions", "Sessions in memory; detached: no stream", ["state"], registry=r
-        )
-        self.streams = Gauge("splitslam_map_streams", "Streams open", registry=r)
-        self.queue_depth = Gauge("splitslam_map_queue_frames", "Frames waiting for an answer", ["worker"], registry=r)
-        self.restarts = Counter("splitslam_map_worker_restarts", "Workers that died", registry=r)
-        self.refused = self._counter("splitslam_map_refused", "Streams refused", "reason")
-        self.denied = self._counter("splitslam_map_auth_refused", "Calls of who may not, or too often", "reason")
-        for reason in get_args(Reason):
-            self.denied.labels(reason)
-        self.handshakes = Counter("splitslam_map_tls_handshakes", "TLS handshakes begun", registry=r)
-        self.throttled = Counter("splitslam_map_throttled_messages", "Messages that came too fast", registry=r)
-        self.certificate_expiry = Gauge(
-            "splitslam_map_certificate_expiry_timestamp_seconds", "The first to expire; NaN: no TLS", registry=r
-        )
-        self.certificate_expiry.set(float("nan"))
-        self.store_bytes = Gauge(
-            "splitslam_map_store_bytes", "What the sessions of a site have stored", ["site"], registry=r
-        )
-        self.database_bytes = Gauge("splitslam_map_database_bytes", "The store as it lies on disk", registry=r)
-        self.retention = Counter("splitslam_map_retention_sessions", "Finished sessions deleted for age", registry=r)
-        self.retention_bytes = Counter("splitslam_map_retention_bytes", "What they had stored", registry=r)
-        self.drained = self._counter("splitslam_map_drained", "Robots sent to another replica", "reason")
-        for reason in ("shutdown", "rebalance"):
-            self.drained.labels(reason)
-        self.replicas = Gauge("splitslam_map_replicas", "Replicas alive by the store; 0: not shared", registry=r)
+    def __init__(self, config: ServiceConfig) -> None:
+        self.registry = CollectorRegistry()
+        self._workers = [str(index) for index in range(config.worker_count)]
+        self.sites = {*config.quota.sites, *config.retention.sites}  # those that have series of their own
+        self.answer_seconds, self.commit_seconds = self._family(m.ANSWER_SECONDS), self._family(m.COMMIT_SECONDS)
+        self.sessions, self.streams = self._family(m.SESSIONS), self._family(m.STREAMS)
+        self.stream_ends = self._family(m.STREAM_ENDS)
+        self.received_bytes, self.sent_bytes = self._family(m.RECEIVED_BYTES), self._family(m.SENT_BYTES)
+        self._family(m.SESSION_LIMIT).set(config.session_limit)
+        self.restarts, self.workers_ready = self._family(m.WORKER_RESTARTS), self._family(m.WORKERS_READY)
+        self._queue_frames, self._queue_messages = self._family(m.QUEUE_FRAMES), self._family(m.QUEUE_MESSAGES)
+        self._busy = self._family(m.WORKER_BUSY)
+        self._memory = self._family(m.WORKER_MEMORY)
+        self._undurable, self._oldest_frame = self._family(m.UNDURABLE), self._family(m.OLDEST_FRAME)
+        self.refused, self.denied = self._family(m.REFUSED), self._family(m.DENIED)
+        self.handshakes, self.throttled = self._family(m.HANDSHAKES), self._family(m.THROTTLED)
+        self._expires_s: Callable[[], float] = lambda: math.nan
+        collect(m.CERTIFICATE_EXPIRY, self.registry, lambda: self._expires_s())
+        self.store_bytes, self.database_bytes = self._family(m.STORE_BYTES), self._family(m.DATABASE_BYTES)
+        self.retention, self.retention_bytes = self._family(m.RETENTION), self._family(m.RETENTION_BYTES)
+        self.drained, self.draining = self._family(m.DRAINED), self._family(m.DRAINING)
+        self.replicas = self._family(m.REPLICAS)
         self._by_name = {
-            "frames": self._counter("splitslam_map_frames", "Frames", "result"),
-            "rejected": self._counter("splitslam_map_rejected", "Frames not mapped", "reason"),
-            "corrections": self._counter("splitslam_map_corrections", "Jumps of T_map_odom", "cause"),
-            "gnss": self._counter("splitslam_map_gnss", "GNSS fixes", "result"),
-            "loops": self._counter("splitslam_map_loops", "Loop closures", "result"),
-            "commits": self._counter("splitslam_map_commits", "Commits", "result"),
+            "frames": self._family(m.FRAMES),
+            "rejected": self._family(m.REJECTED),
+            "corrections": self._family(m.CORRECTIONS),
+            "correction_metres": self._family(m.CORRECTION_METRES),
+            "registrations": self._family(m.REGISTRATIONS),
+            "iterations": self._family(m.ITERATIONS),
+            "inliers": self._family(m.INLIERS),
+            "stage_seconds": self._family(m.STAGE_SECONDS),
+            "gnss": self._family(m.GNSS),
+            "loops": self._family(m.LOOPS),
+            "loop_candidates": self._family(m.LOOP_CANDIDATES),
+            "commits": self._family(m.COMMITS),
+            "commit_seconds": self.commit_seconds,
+            "commit_bytes": self._family(m.COMMIT_BYTES),
             "refused": self.refused,
-            "fenced": Counter("splitslam_map_fenced", "Streams ended because another owner took over", registry=r),
-            "keyframes": Counter("splitslam_map_keyframes", "Keyframes", registry=r),
+            "fenced": self._family(m.FENCED),
+            "keyframes": self._family(m.KEYFRAMES),
         }
-        for result in ("mapped", "duplicate", "rejected", "gap", "failed"):
-            self._by_name["frames"].labels(result)
-        self._states: dict[int, dict[str, int]] = {}
-        self.forget_worker(0)
+        self._beats: dict[int, Beat] = {}
+        self._delays_s: dict[int, float] = {}
+        self._cpu_before_s = dict.fromkeys(range(config.worker_count), 0.0)  # of workers that have died
+        collect(m.WORKER_CPU, self.registry, self._cpu_s, worker=self._workers)
+        self.robots = RobotGauges(config.metrics.robots, self.registry) if config.metrics.per_robot else None
+        show_build(self.registry)
+        ProcessCollector(registry=self.registry)
+        self._show_sums()
 
-    def _counter(self, name: str, text: str, label: str) -> Counter:
-        return Counter(name, text, [label], registry=self.registry)
+    def _family(self, metric: Metric) -> Family:
+        return Family(metric, self.registry, worker=self._workers, site=[*sorted(self.sites), OTHER])
 
-    def absorb(self, worker: int, beat: Beat) -> None:
-        """Take over what a worker has counted."""
+    def certificate_from(self, expires_s: Callable[[], float]) -> None:
+        """Shows when the certificate in force, or an authority, expires; Unix time."""
+        self._expires_s = expires_s
+
+    def absorb(self, worker: int, beat: Beat, unanswered: int, delay_s: float) -> None:
+        """Takes over what a worker has counted, and how it stands. unanswered, delay_s: of the frames it was given."""
         for (name, *labels), increment in beat.counts.items():
-            metric = self._by_name[name]
-            (metric.labels(*labels) if labels else metric).inc(increment)
-        for _, value in beat.observations:
-            self.commit_seconds.observe(value)
-        self._states[worker] = beat.sessions
-        self._show_states()
+            self._by_name[name].inc(*labels, by=increment)
+        for (name, *labels), value in beat.observations:
+            self._by_name[name].observe(value, *labels)
+        self._beats[worker], self._delays_s[worker] = beat, delay_s
+        self._show_worker(str(worker), unanswered, beat.queue_messages, beat.busy_s, beat.resident_bytes)
+        self._show_sums()
 
     def forget_worker(self, worker: int) -> None:
-        """Its sessions are in no memory any more."""
-        self._states.pop(worker, None)
-        self._show_states()
+        """It has died: its sessions are in no memory any more."""
+        if (beat := self._beats.pop(worker, None)) is not None:
+            self._cpu_before_s[worker] += beat.cpu_s
+        self._delays_s.pop(worker, None)
+        self._show_worker(str(worker), 0, 0, 0.0, 0)
+        self._show_sums()
+        if self.robots is not None:
+            self.robots.update(worker, [])
 
-    def _show_states(self) -> None:
-        for state in STATES:
-            self.sessions.labels(state).set(sum(s.get(state, 0) for s in self._states.values()))
+    def _show_worker(self, worker: str, unanswered: int, messages: int, busy_s: float, resident_bytes: int) -> None:
+        self._queue_frames.set(unanswered, worker)
+        self._queue_messages.set(messages, worker)
+        self._busy.set(busy_s, worker)
+        self._memory.set(resident_bytes, worker)
 
-    def serve(self, config: MetricsConfig) -> tuple[WSGIServer, threading.Thread] | None:
+    def _show_sums(self) -> None:
+        beats = list(self._beats.values())
+        for state in m.STATES:
+            self.sessions.set(sum(beat.sessions.get(state, 0) for beat in beats), state)
+        self._undurable.set(sum(beat.undurable_frames for beat in beats))
+        self._oldest_frame.set(max(self._delays_s.values(), default=0.0))
+
+    def _cpu_s(self) -> Mapping[str, float]:
+        beats = dict(self._beats)
+        return {
+            str(worker): before_s + (beats[worker].cpu_s if worker in beats else 0.0)
+            for worker, before_s in self._cpu_before_s.items()
+        }
+
+    def serve(self, host: str, port: int | None) -> Page | None:
         """/metrics on its own thread; None when switched off. Raises InputError for a port that is taken."""
-        if config.port is None:
-            return None
-        try:
-            return start_http_server(config.port, config.host, self.registry)
-        except OSError as error:
-            raise InputError(f"metrics.port {config.host}:{config.port}: {error.strerror}") from error
+        return None if port is None else Page(self.registry, host, port)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from map_service.cloud import encode_cloud
 from map_service.drift import MapDrift
 from map_service.graph import PoseGraph
 from map_service.keyframes import Cloud, Keyframe, Keyframes
+from map_service.pipeline_statistics import outcomes
 from map_service.tracker import TrackerState
 from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot, StateVersionError
 from splitslam import se3
@@ -35,6 +37,7 @@ class CommitLog:
         self._factors = 0
         self._stored: list[Array] = []  # keyframe poses as the store has them
         self._first_ns = 0
+        self._outcomes: Counter[tuple[str, str]] = Counter()  # as they were told last
 
     def frame(self, answer: MapAnswer, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
         """Notes an answered frame; `keyframe` is the newest one."""
@@ -66,8 +69,10 @@ class CommitLog:
         age_s = (self._frames[-1].stamp_ns - self._first_ns) * 1e-9
         return bool(self._keyframes) or len(self._frames) >= frames or age_s >= seconds
 
-    def take(self, graph: PoseGraph, tracker: bytes, places: list[tuple[int, bytes]]) -> Commit:
-        """Hands over everything new and starts again; `places` are the new ones."""
+    def take(
+        self, graph: PoseGraph, tracker: bytes, places: list[tuple[int, bytes]], outcomes: Counter[tuple[str, str]]
+    ) -> Commit:
+        """Hands over everything new and starts again; `places` are the new ones, `outcomes` counts since the start."""
         moved = []
         for i, (stored, now) in enumerate(zip(self._stored, graph.poses, strict=True)):
             if np.abs(stored - now).max() > _MOVED:
@@ -75,13 +80,15 @@ class CommitLog:
                 self._stored[i] = now
         last_seq = self._frames[-1].seq if self._frames else self.last_seq
         factors = graph.records[self._factors :]
-        commit = Commit(self.last_seq, last_seq, self._frames, self._keyframes, factors, moved, tracker, places)
-        self.last_seq, self._factors = last_seq, len(graph.records)
+        new = dict(outcomes - self._outcomes)
+        commit = Commit(self.last_seq, last_seq, self._frames, self._keyframes, factors, moved, tracker, places, new)
+        self.last_seq, self._factors, self._outcomes = last_seq, len(graph.records), outcomes
         self._frames, self._keyframes = [], []
         return commit
 
-    def resume(self, snapshot: Snapshot, poses: list[Array]) -> None:
-        """Continues after what the store has."""
+    def resume(self, snapshot: Snapshot, outcomes: Counter[tuple[str, str]]) -> None:
+        """Continues after what the store has; `outcomes` are counted already."""
+        self._outcomes = outcomes
         self.last_seq, self._factors = snapshot.last_seq, len(snapshot.factors)
         self._stored = [k.T_map_lidar for k in snapshot.keyframes]
 
@@ -163,5 +170,5 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     pipeline.stats.corrections = dict(data["corrections"])
     pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
     pipeline.mapped_before = snapshot.mapped
-    pipeline.log.resume(snapshot, poses)
+    pipeline.log.resume(snapshot, outcomes(pipeline))
     pipeline.fill_local_map()

@@ -22,7 +22,7 @@ from map_service.keyframes import Keyframes
 from map_service.levelling import Leveller
 from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
-from map_service.pipeline_statistics import PipelineStatistics
+from map_service.pipeline_statistics import PipelineStatistics, effort, outcomes
 from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
 from map_service.tracker import Track, Tracker, TrackerState
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot, State
@@ -281,6 +281,7 @@ class MapPipeline:
             keyframe=track.keyframe,
             registration_ms=(registered[0] - started[0]) * 1e3,
             graph_ms=(ended[0] - registered[0]) * 1e3,
+            effort=effort(track, registered[1] - started[1], ended[1] - registered[1]),
         )
 
     def finish(self) -> None:
@@ -313,7 +314,7 @@ class MapPipeline:
     def take_commit(self) -> Commit:
         """Everything since the previous commit."""
         places = [] if self.closer is None else self.closer.take_places()
-        return self.log.take(self.graph, persistence.dump(self), places)
+        return self.log.take(self.graph, persistence.dump(self), places, outcomes(self))
 
     @classmethod
     def restore(

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from map_service.tracker import Track
-from map_service.types import CorrectionRecord
+from map_service.types import CorrectionRecord, Effort
+
+if TYPE_CHECKING:
+    from map_service.pipeline import MapPipeline
 
 STAGES = ("registration", "graph", "total")
 
@@ -60,6 +65,25 @@ class PipelineStatistics:
             "map_ms": {stage: summary(values) for stage, values in self._cpu_ms.items()},
             "map_wall_ms": {stage: summary(values) for stage, values in self._wall_ms.items()},
         }
+
+
+def effort(track: Track, registration_s: float, graph_s: float) -> Effort:
+    """What a frame took, for metrics."""
+    r = track.registration
+    if r is None:
+        return Effort(registration_s, graph_s)
+    return Effort(registration_s, graph_s, True, r.iterations, r.inliers, r.features)
+
+
+def outcomes(pipeline: MapPipeline) -> Counter[tuple[str, str]]:
+    """What became of loops and fixes since the session began, by (metric, label)."""
+    counts = Counter({("loops", "accepted"): pipeline.stats.loops, ("gnss", "accepted"): pipeline.stats.gnss_factors})
+    if pipeline.closer is not None:
+        counts.update({("loops", reason): n for reason, n in pipeline.closer.rejected.items()})
+        counts.update({("loop_candidates", kind): n for kind, n in pipeline.closer.tried.items()})
+    if pipeline.gnss is not None:
+        counts.update({("gnss", reason): n for reason, n in pipeline.gnss.rejected.items()})
+    return counts
 
 
 def summary(values: array) -> dict[str, float]:

@@ -26,6 +26,7 @@ from map_service.store import Store
 from map_service.workers import WorkerPool
 from splitslam.errors import InputError
 from splitslam.logs import configure_logs
+from splitslam.notify import Notifier
 from splitslam.wire import session_pb2_grpc as rpc
 
 SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService")
@@ -42,7 +43,7 @@ def serve(config: ServiceConfig, engine: str = DEFAULT_ENGINE) -> None:
 
     Prints one JSON line on stdout when robots can connect. Raises InputError for a configuration that cannot work.
     """
-    configure_logs(config.log.format, config.log.level)
+    configure_logs(config.log.format, config.log.level, replica=config.name)
     asyncio.run(_serve(config, engine))
 
 
@@ -51,13 +52,13 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     store = Store(config.store, config.store_wait_s)
-    metrics = ServiceMetrics()
+    metrics = ServiceMetrics(config)
     pool = WorkerPool(config, engine, metrics)
     door = Door(config.tls, metrics)
     front = EdgeFront(config, pool, metrics, door.callers)
     sessions = SessionFront(store, pool, door.callers, metrics)
     server, checks, address = _build(config, front, sessions, door)
-    scrape = metrics.serve(config.metrics)
+    page = metrics.serve(config.metrics.host, config.metrics.port)
     local = _health_only(config.health_socket, checks)
     try:
         starting = asyncio.create_task(pool.start())
@@ -71,14 +72,18 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         if local is not None:
             await local.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
-        scraped = f"{config.metrics.host}:{scrape[0].server_port}" if scrape else None
+        scraped = f"{page.host}:{page.port}" if page else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)
+        notifier = Notifier()
+        notifier.ready(f"listening on {address}")
+        living = asyncio.create_task(_give_signs_of_life(notifier))
         membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
         rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
         if _shared(config, store):
             membership.start()
         await stopping
+        notifier.stopping("handing sessions over")
         keeping.cancel()
         _log.info("draining")
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
@@ -86,13 +91,21 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         front.drain(membership.peers)
         await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
+        living.cancel()
         if local is not None:
             await local.stop(None)
     finally:
         pool.kill()
         store.close()
-        if scrape:
-            scrape[0].shutdown()
+        if page:
+            page.close()
+
+
+async def _give_signs_of_life(notifier: Notifier) -> None:
+    """As long as this event loop turns, which is what robots talk to; it watches the workers itself."""
+    while notifier.watchdog_s is not None:
+        notifier.alive()
+        await asyncio.sleep(notifier.watchdog_s / 4)
 
 
 def _shared(config: ServiceConfig, store: Store) -> bool:

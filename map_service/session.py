@@ -13,13 +13,14 @@ import numpy as np
 
 from map_service import messages
 from map_service.accounts import SessionAccounts
+from map_service.channel import RobotStanding
 from map_service.commits import CommitLog
 from map_service.engine import Engine, Pipeline
 from map_service.hello import WIRE_VERSION, SessionRequest
 from map_service.rows import SessionCommit
 from map_service.store import OpenedSession, Store, StoredAnswer
 from map_service.tally import Tally
-from map_service.types import Cause, Commit, State
+from map_service.types import Commit, State
 from splitslam import __version__
 from splitslam.errors import DataError
 from splitslam.wire import session_pb2 as pb
@@ -51,9 +52,10 @@ class Session:
         """Opens what the store has of it: a rebuild when `log` starts after a frame. Raises StoreError."""
         self.request, self.log = request, log
         self.stream: int | None = None
-        self.touched_s = time.monotonic()
+        self.opened_s = self.touched_s = time.monotonic()
         self.state = State.INITIALISING
         self.accounts = accounts
+        self.leaving = False  # the robot goes to another replica once all is durable
         self.finishing = False  # Bye was said, its commit is under way
         self.held: deque[pb.StreamRequest] = deque()  # what waits until the store has taken more of what is applied
         self._engine, self._store, self._tally = engine, store, tally
@@ -61,6 +63,7 @@ class Session:
         self._poses: deque[types_pb.StampedPose] = deque(maxlen=WELCOME_POSES)
         self._T_map_odom = np.eye(4)
         self._last_stamp_ns = 0
+        self._covariance = np.full((6, 6), np.nan)
         self._new_T_map_odom: dict[int, np.ndarray] = {}
         self._new_rejected: list[tuple[int, int, str]] = []
         self._new_holes: list[tuple[int, int]] = []
@@ -79,6 +82,22 @@ class Session:
         self._tracker = snapshot.tracker
         # without a mapped frame there is no tracker state yet
         return self._engine.create(self.request, snapshot if snapshot.tracker else None)
+
+    def standing(self) -> RobotStanding:
+        """How it stands, for gauges by robot; may be asked by another thread."""
+        rotation, position = (_largest_sigma(self._covariance[part, part]) for part in (slice(0, 3), slice(3, 6)))
+        return RobotStanding(
+            session_id=self.request.session_id,
+            stream=self.stream,
+            state=int(self.state),
+            scans=self.log.applied_seq,
+            last_stamp_ns=self._last_stamp_ns,
+            opened_s=self.opened_s,
+            undurable_frames=self.log.undurable,
+            backlog_frames=self.accounts.backlog_frames,
+            position_sigma_m=position,
+            rotation_sigma_rad=rotation,
+        )
 
     # -- streams ------------------------------------------------------------------------------------------------
 
@@ -157,11 +176,8 @@ class Session:
         self.state = result.state
         self._T_map_odom = self._new_T_map_odom[frame.seq] = result.T_map_odom
         self._poses.append(types_pb.StampedPose(seq=frame.seq, stamp_ns=frame.stamp_ns, pose=answer.pose_map_lidar))
-        self._tally.count("frames", "mapped")
-        if result.keyframe:
-            self._tally.count("keyframes")
-        if result.correction is not None:
-            self._tally.count("corrections", Cause(result.correction.cause).name.lower())
+        self._covariance = result.covariance
+        self._tally.mapped(result)
         return answer
 
     def _rejection(self, seq: int, stamp_ns: int, reason: str) -> pb.Odometry:
@@ -223,3 +239,10 @@ class Session:
         entry = SessionCommit(commit, self._new_T_map_odom, self._new_rejected, self._new_holes, statistics, finished)
         self._new_T_map_odom, self._new_rejected, self._new_holes = {}, [], []
         return entry
+
+
+def _largest_sigma(covariance: np.ndarray) -> float:
+    """Standard deviation along the worst axis of (3, 3); NaN while nothing is known."""
+    if not np.isfinite(covariance).all():
+        return float("nan")
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -30,12 +31,17 @@ class RobotStream:
         self.outbox: asyncio.Queue[bytes | End] = asyncio.Queue()
         self.durable_seq = 0
         self.opened = False  # the worker has said something
-        self.answered = False
+        self.answered_s = math.nan  # when a frame was answered last
         self.ended = False
         self._leaving: pb.Drain | None = None
         self._told = False
         self._slots = asyncio.Semaphore(window)
         self._received_s: deque[float] = deque()
+
+    @property
+    def answered(self) -> bool:
+        """A frame of it has been answered."""
+        return not math.isnan(self.answered_s)
 
     @property
     def unanswered(self) -> int:
@@ -58,7 +64,7 @@ class RobotStream:
     def put_answer(self, body: bytes) -> float | None:
         """Returns how long the frame took since it was received, s."""
         self.put(body)
-        self.answered = True
+        self.answered_s = time.monotonic()
         if not self._received_s:
             return None
         self._slots.release()

@@ -39,6 +39,21 @@ class CorrectionRecord:
     rotation_rad: float
 
 
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What one answer took: thread CPU time, s; of its registration the steps, and how many of the features fitted.
+
+    features: 0 for a frame that brought none. registered: false for the first frame, which makes the map.
+    """
+
+    registration_s: float
+    graph_s: float
+    registered: bool = False
+    iterations: int = 0
+    inliers: int = 0
+    features: int = 0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapAnswer:
     """The pipeline's answer to one frame. Transforms (4, 4) float64; covariance (6, 6), right tangent, rot first."""
@@ -54,6 +69,7 @@ class MapAnswer:
     keyframe: bool
     registration_ms: float
     graph_ms: float
+    effort: Effort | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +116,7 @@ class Commit:
     keyframe_poses: list[tuple[int, NDArray[np.float64]]]  # corrected since: (index, T_map_lidar)
     tracker: bytes  # pipeline state needed to go on after last_seq, versioned
     places: list[tuple[int, bytes]] = field(default_factory=list)  # (keyframe, descriptor as places.py packs it)
+    outcomes: dict[tuple[str, str], int] = field(default_factory=dict)  # (metric, label) of what was tried since
 
 
 @dataclass(slots=True, eq=False)

@@ -26,11 +26,14 @@ from map_service.channel import (
     Ready,
     Reply,
     Request,
+    RobotStanding,
 )
 from map_service.config import ServiceConfig
 from map_service.metrics import ServiceMetrics
+from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
 from map_service.worker import WorkerSpec, worker_main
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _RESTART_CAP_S = 5.0
@@ -70,6 +73,8 @@ class WorkerProcess:
         except (asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
+            if self.ready.is_set():
+                self._metrics.workers_ready.of().dec()
             self.ready.clear()
             self._writer.close()
 
@@ -90,8 +95,9 @@ class WorkerProcess:
                     stream.end(grpc.StatusCode[message.status], message.detail)
             case Beat():
                 self.beat_s = time.monotonic()
-                self._metrics.absorb(self.index, message)
-                self._metrics.queue_depth.labels(str(self.index)).set(self.unanswered)
+                self._metrics.absorb(self.index, message, self.unanswered, self.delay_s)
+                if self._metrics.robots is not None:
+                    self._metrics.robots.update(self.index, [self._seen(robot) for robot in message.robots])
                 self._credit(message.durable)
                 self.pinned.difference_update(message.released)
                 if message.busy_s > self._config.limits.stall_s:
@@ -99,7 +105,8 @@ class WorkerProcess:
             case Ready():
                 self.beat_s = time.monotonic()
                 self.ready.set()
-                _log.info("worker ready", extra={"fields": {"worker": self.index, "pid": message.pid}})
+                self._metrics.workers_ready.of().inc()
+                _log.info("worker ready", extra=fields(worker=self.index, pid=message.pid))
             case Handed(number, durable_seq):
                 if stream := self.streams.get(number):
                     stream.handed(durable_seq)
@@ -134,8 +141,17 @@ class WorkerProcess:
     def unanswered(self) -> int:
         return sum(stream.unanswered for stream in self.streams.values())
 
+    @property
+    def delay_s(self) -> float:
+        """How long the oldest frame that waits for its answer has waited."""
+        return max((stream.delay_s for stream in self.streams.values()), default=0.0)
+
+    def _seen(self, robot: RobotStanding) -> RobotSeen:
+        stream = None if robot.stream is None else self.streams.get(robot.stream)
+        return RobotSeen(robot) if stream is None else RobotSeen(robot, stream.unanswered, stream.answered_s)
+
     def kill(self, why: str) -> None:
-        _log.error("worker killed", extra={"fields": {"worker": self.index, "why": why}})
+        _log.error("worker killed", extra=fields(worker=self.index, detail=why))
         self.process.kill()
 
 
@@ -175,7 +191,7 @@ class WorkerPool:
                 return
             self._metrics.restarts.inc()
             self._metrics.forget_worker(index)
-            _log.error("worker died", extra={"fields": {"worker": index, "exit_code": worker.process.exitcode}})
+            _log.error("worker died", extra=fields(worker=index, exit_code=worker.process.exitcode))
             failures = 0 if time.monotonic() - worker.started_s > 10 else failures + 1
             await asyncio.sleep(min(0.1 * 2**failures, _RESTART_CAP_S) if failures else 0)
             self._workers[index] = WorkerProcess(index, self._config, self._engine, self._metrics)
@@ -251,7 +267,7 @@ class WorkerPool:
     @property
     def delay_s(self) -> float:
         """How long the oldest frame that waits for its answer has waited."""
-        return max((stream.delay_s for stream in self.streams), default=0.0)
+        return max((worker.delay_s for worker in self._workers), default=0.0)
 
     def is_open(self, session_id: str) -> bool:
         return any(stream.session_id == session_id for stream in self.streams)

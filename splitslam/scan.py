@@ -83,7 +83,9 @@ class ScanPacket:
     """A scan that the IMU covers to its end, and the GNSS fixes since the packet before.
 
     Every IMU sample up to the first one at or after `scan.end_ns` has been handed over before the packet.
+    arrival_ns: when the scan came, on the source's steady clock; None: not known.
     """
 
     scan: Scan
     fixes: tuple[GnssFix, ...] = ()
+    arrival_ns: int | None = None

@@ -21,12 +21,14 @@ _KEPT = 51
 
 
 class Gaps:
-    """Knows the IMU's period and remembers where it was silent."""
+    """Knows the IMU's period and remembers where it was silent. count, seconds: of all gaps so far."""
 
     def __init__(self, rate_hz: float) -> None:
         self._periods_ns = np.array([int(1e9 / rate_hz)])
         self._last_ns: int | None = None
         self._intervals: list[tuple[int, int]] = []
+        self._filled_ns = 0
+        self.count, self.seconds = 0, 0.0
 
     def seen(self, stamps_ns: NDArray[np.int64]) -> None:
         """Takes the stamps of real samples."""
@@ -40,8 +42,11 @@ class Gaps:
         return next_ns - last_ns > max(_SHORTEST_NS, _PERIODS * int(np.median(self._periods_ns)))
 
     def remember(self, start_ns: int, end_ns: int) -> None:
-        """A gap was filled."""
+        """A gap was filled, or a further piece of one while the IMU is still silent."""
         self._intervals.append((start_ns, end_ns))
+        self.count += start_ns > self._filled_ns
+        self.seconds += (end_ns - start_ns) * 1e-9
+        self._filled_ns = end_ns
 
     def overlap(self, start_ns: int, end_ns: int) -> bool:
         """Is any of [start, end] filled?"""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from edge_agent.raw_ring import RawStream
 from splitslam.errors import DataError, InputError
 
 _VELODYNE_TYPES = {
@@ -17,6 +18,9 @@ _VELODYNE_TYPES = {
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
 }
 _EXPECTED = "expected a ROS 1 .bag, a ROS 2 bag folder, .db3 or .mcap"
+
+
+Tap = Callable[[RawStream, int, bytes], None]
 
 
 class Bag:
@@ -27,7 +31,7 @@ class Bag:
         self.path = path
         _look_at(path)
         try:
-            self._reader = AnyReader([path], default_typestore=_typestore())
+            self._reader = AnyReader([path], default_typestore=typestore())
             self._reader.open()
         except Exception as error:  # the readers raise whatever their parser trips over
             raise InputError(f"{path}: {_reason(error)}") from error
@@ -41,8 +45,12 @@ class Bag:
         """Messages on a topic as the recording's index says."""
         return sum(c.msgcount for c in self.connections if c.topic == topic)
 
-    def messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-        """(topic, arrival time ns, message or DataError), recording order. InputError when the file is damaged."""
+    def messages(self, topics: set[str], tap: Tap | None = None) -> Iterator[tuple[str, int, Any]]:
+        """(topic, arrival time ns, message or DataError), recording order. InputError when the file is damaged.
+
+        tap: gets each message as it is in the recording, also one that does not parse.
+        """
+        streams = {c.id: stream_of(c) for c in self.connections if tap is not None}
         connections = [c for c in self.connections if c.topic in topics]
         raw_messages: Generator[tuple[Connection, int, bytes], None, None] = self._reader.messages(connections)
         read = 0
@@ -54,6 +62,8 @@ class Bag:
             except Exception as error:
                 raise InputError(f"{self.path}: damaged after {read} messages: {_one_line(error)}") from error
             read += 1
+            if tap is not None:
+                tap(streams[connection.id], arrival_ns, raw)
             try:
                 message = self._reader.deserialize(raw, connection.msgtype)
             except Exception as error:  # a message that does not parse is dropped, the stream goes on
@@ -72,7 +82,19 @@ class Bag:
         self.close()
 
 
-def _typestore() -> Any:
+def stream_of(connection: Connection) -> RawStream:
+    """A topic of a recording as the raw ring knows it."""
+    return RawStream(
+        topic=connection.topic,
+        msgtype=connection.msgtype,
+        encoding="ros1" if isinstance(connection.ext, ConnectionExtRosbag1) else "cdr",
+        definition=connection.msgdef.data,
+        format="idl" if connection.msgdef.format is MessageDefinitionFormat.IDL else "msg",
+        digest=connection.digest,
+    )
+
+
+def typestore() -> Any:
     """Types for ROS 2 recordings that carry no definitions (sqlite3 ones before Iron)."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: dict[str, Any] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.sources import beams, messages, topics
-from edge_agent.sources.bag import Bag
+from edge_agent.sources.bag import Bag, Tap
 from edge_agent.sources.cloud_decoder import CloudDecoder
 from edge_agent.sources.pointcloud2 import read_table
 from edge_agent.sources.raw import Gate, RawScan
 from edge_agent.sources.velodyne import VelodyneDecoder
 from splitslam.errors import DataError, InputError
+from splitslam.logs import fields
 from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
+_log = logging.getLogger(__name__)
 Event = Scan | ImuSamples | WheelSamples | GnssFix
 _FIRST_SCANS = 5
 _TAIL_NS = 500_000_000  # after the last scan wanted: how long to read on for IMU samples that cover it
@@ -62,10 +65,11 @@ class Recording:
     beam_elevations_rad: (rings,) float32. topics: sensor -> topic. notes: lines to print once.
     dropped: messages that could not be used, by reason. start_ns, end_ns: recorded time (arrival) of the first and
     last message of the part read so far, 0 before the first.
-    scan_count: scans to expect, by the recording's index.
+    scan_count: scans to expect, by the recording's index. tap: set it to see each message raw as `events` reads it.
     """
 
     def __init__(self, bag: Bag, robot: Robot, max_scans: int | None) -> None:
+        self.tap: Tap | None = None
         self._bag = bag
         self._name = str(bag.path)
         self._max_scans = max_scans
@@ -102,7 +106,7 @@ class Recording:
         }
         stop_ns: int | None = None
         with self._bag:
-            for topic, arrival_ns, message in self._bag.messages(set(self.topics.values())):
+            for topic, arrival_ns, message in self._bag.messages(set(self.topics.values()), self.tap):
                 is_scan = topic == self.topics["lidar"]
                 if stop_ns is not None and arrival_ns > stop_ns:
                     return
@@ -120,6 +124,9 @@ class Recording:
                     event = convert[topic](message)
                 except DataError as error:
                     self.dropped[error.reason] += 1
+                    level = logging.DEBUG if error.reason == "gnss_no_fix" else logging.WARNING
+                    said = fields(topic=topic, reason=error.reason, detail=error.detail)
+                    _log.log(level, "message left out", extra=said)
                     continue
                 yield arrival_ns, event
 

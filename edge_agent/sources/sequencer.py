@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from edge_agent.sources.stream_clock import JUMP_NS, StreamClock
 from edge_agent.sources.time_map import TimeMap
+from splitslam.logs import fields
 from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
@@ -37,7 +38,7 @@ class Sequencer:
         self._imu = robot.imu is not None
         self._covered_ns: int | None = None
         self._silent = False  # the IMU: nobody waits for it until it is back
-        self._waiting: deque[Scan] = deque()
+        self._waiting: deque[tuple[Scan, int | None]] = deque()  # and when they came
         self._fixes: list[GnssFix] = []
         self.times = TimeMap()
         self._scan_clock = StreamClock[Scan]("lidar", "", self.dropped, self.times)
@@ -61,7 +62,7 @@ class Sequencer:
         out: list[Item] = [*self._wheel_clock.flush()]
         for samples in self._imu_clock.flush():
             out.extend(self._emit(samples))
-        self._waiting.extend(self._scan_clock.flush())
+        self._waiting.extend((scan, None) for scan in self._scan_clock.flush())
         while self._waiting:
             out.append(self._release())
         return out
@@ -73,12 +74,13 @@ class Sequencer:
         if not np.isfinite(scan.points_lidar).all():
             self.dropped["nan"] += 1
             return []
-        self._waiting.extend(self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan, arrival_ns))
+        passed = self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan, arrival_ns)
+        self._waiting.extend((scan, arrival_ns) for scan in passed)
         out: list[Item] = []
         if len(self._waiting) > _MAX_WAITING and not self._silent:
             self._silent = True
-            _log.warning("imu: no samples for %d scans; going on without it", _MAX_WAITING)
-        while self._waiting and (self._silent or self._covers(self._waiting[0])):
+            _log.warning("imu silent, going on without it", extra=fields(scans=_MAX_WAITING))
+        while self._waiting and (self._silent or self._covers(self._waiting[0][0])):
             out.append(self._release())
         return out
 
@@ -106,7 +108,7 @@ class Sequencer:
         out: list[Item] = []
         done = 0
         while self._waiting:
-            cover = int(np.searchsorted(samples.stamps_ns, self._waiting[0].end_ns))
+            cover = int(np.searchsorted(samples.stamps_ns, self._waiting[0][0].end_ns))
             if cover == len(samples):
                 break
             if cover >= done:
@@ -123,11 +125,11 @@ class Sequencer:
         return not self._imu or (self._covered_ns is not None and self._covered_ns >= scan.end_ns)
 
     def _release(self) -> ScanPacket:
-        scan = self._waiting.popleft()
+        scan, arrival_ns = self._waiting.popleft()
         if not self._covers(scan):
             self.uncovered += 1
             self._imu_clock.pass_by(scan.end_ns)
-        packet = ScanPacket(scan, tuple(self._fixes))
+        packet = ScanPacket(scan, tuple(self._fixes), arrival_ns)
         self._fixes.clear()
         return packet
 

@@ -226,7 +226,7 @@ class _Service:
         self._ready: Answer | None = None  # waits for the next frame
         self._due: list[tuple[int, Answer]] = []
 
-    def send(self, frame: pb.Frame) -> None:
+    def send(self, frame: pb.Frame, arrived_s: float | None = None) -> None:
         self._is_ready()
         fixes, _ = messages.fixes_from_wire(list(frame.fixes))
         assert self._edge.last is not None

@@ -20,8 +20,8 @@ _MAP_OWN = ("listen", "store")
 def configs(options: RunOptions, work: Path) -> tuple[AgentConfig, ServiceConfig]:
     """Effective configurations; files of the run go into `work`. The file has two sections, `edge` and `map`.
 
-    Raises InputError: one line with file (or option), key and what was expected. The agent's `server` is still the
-    default when the map service is embedded: its port is known once it listens.
+    Raises InputError: one line with file (or option), key and what was expected. The agent's `server` is not
+    yet the right one when the map service is embedded: its port is known once it listens.
     """
     sections = _sections(options.config)
     edge = config.overlay_environment(AgentConfig, sections["edge"], ENVIRONMENT_PREFIX)
@@ -66,7 +66,7 @@ def _edge(edge: dict[str, Any], options: RunOptions, work: Path) -> dict[str, An
             raise InputError(f"--server: {error}, found {options.server!r}") from None
         given["server"] = options.server
     else:
-        given["tls"] = {}  # nobody else is in between
+        given |= {"server": "127.0.0.1:1", "tls": {}}  # of the embedded one; which port is not known yet
     if options.disable:
         given["disable"] = options.disable
     if options.deskew is not None:

@@ -7,6 +7,7 @@ tokens.yaml and revoked.txt for the service. Keys are ECDSA P-256, files mode 06
 from __future__ import annotations
 
 import ipaddress
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -32,6 +33,7 @@ from splitslam.security.private_files import make_private_folder, write_private
 from splitslam.security.tokens import hash_of, new_token, read_tokens
 
 CA, CA_KEY, TOKENS, REVOKED = "ca.pem", "ca.key", "tokens.yaml", "revoked.txt"
+_HOST = re.compile(r"(?:\*\.)?[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 _EARLIER = timedelta(minutes=5)  # clocks of robots are not alike
 # who calls and who is called: a robot's certificate must not do for a server
 _USAGE = {
@@ -229,7 +231,10 @@ def _host(host: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
-        return x509.DNSName(host)
+        pass
+    if not _HOST.fullmatch(host):
+        raise InputError(f"--host {host!r}: expected a name or an address, without port")
+    return x509.DNSName(host)
 
 
 def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:

@@ -43,7 +43,7 @@ def test_a_right_robot_file_gives_no_line(shared_data: Path, caplog: pytest.LogC
     assert check.findings == []
     assert caplog.records == []
     assert value(metrics, "problems") == 0
-    assert value(metrics, "rotation_degrees") < tolerances.CHECK_LIVE_ROTATION_DEG
+    assert np.degrees(value(metrics, "rotation_radians")) < tolerances.CHECK_LIVE_ROTATION_DEG
     assert abs(value(metrics, "time_offset_seconds")) < tolerances.CHECK_LIVE_DELAY_S
 
 
@@ -55,7 +55,8 @@ def test_a_mounting_off_by_five_degrees_is_one_warning(shared_data: Path, caplog
     assert "T_lidar_imu" in record.message
     assert "\n" not in record.message
     assert value(metrics, "problems") == 1
-    assert value(metrics, "rotation_degrees") == pytest.approx(5.0, abs=2 * tolerances.CHECK_LIVE_ROTATION_DEG)
+    off_deg = np.degrees(value(metrics, "rotation_radians"))
+    assert off_deg == pytest.approx(5.0, abs=2 * tolerances.CHECK_LIVE_ROTATION_DEG)
 
 
 @pytest.mark.parametrize("offset_ms", [15.0, -15.0])

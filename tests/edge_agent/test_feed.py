@@ -68,7 +68,7 @@ class Watcher(threading.Thread):
 
 def wait_for_readers(metrics: EdgeMetrics, count: int) -> None:
     deadline_s = time.monotonic() + 5.0
-    while metrics.feed_readers._value.get() != count and time.monotonic() < deadline_s:
+    while metrics.feed_readers.values()[()] != count and time.monotonic() < deadline_s:
         time.sleep(0.01)
 
 
@@ -121,7 +121,7 @@ def test_a_watcher_that_goes_frees_its_place(tmp_path: Path, feed: PoseFeed, met
     wait_for_readers(metrics, 1)
     watcher.call.cancel()
     wait_for_readers(metrics, 0)
-    assert metrics.feed_readers._value.get() == 0
+    assert metrics.feed_readers.values()[()] == 0
     watcher.channel.close()
 
 

@@ -85,7 +85,7 @@ class FakeUplink:
         self.log, self.ready, self.anchored, self.stop_at = log, [], True, 10**9
         self.limit_kbps, self.backlog = 70.0, True
 
-    def send(self, frame: pb.Frame) -> None:
+    def send(self, frame: pb.Frame, arrived_s: float | None = None) -> None:
         pose = np.eye(4)
         reply = OdometryReply(frame.seq, frame.stamp_ns, pose, pose, np.eye(6), 2, np.zeros((0, 6)))
         self.ready.append(Answer(reply, False, None, 0.01))

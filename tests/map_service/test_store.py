@@ -148,6 +148,12 @@ def test_a_trajectory_comes_in_pages_of_at_most_a_thousand(store: Store) -> None
     assert [len(page) for page in Catalog(store).trajectory(opened.key)] == [1000, 1000, 500]
 
 
+def test_a_map_is_read_keyframe_by_keyframe_as_the_first_thing_of_a_transaction(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, entry(0, 40, keyframes=tuple(range(20))))
+    assert [keyframe.index for keyframe in Catalog(store).keyframes(opened.key)] == list(range(20))
+
+
 def test_a_finished_session_takes_no_commit_and_no_owner(store: Store) -> None:
     opened = store.open_session(OPENING)
     store.commit(opened.key, 1, entry(0, 3, keyframes=(0,), finished=True))

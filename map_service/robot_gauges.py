@@ -1,0 +1,80 @@
+"""Gauges by robot, for those who want one series a robot: at most so many robots, and none whose session has gone."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from prometheus_client import CollectorRegistry
+from prometheus_client.metrics_core import GaugeMetricFamily
+from prometheus_client.registry import Collector
+
+from map_service import metric_list as m
+from map_service.channel import RobotStanding
+from splitslam.metrics import Metric
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSeen:
+    """The same with what the front knows. answered_s: when its last frame was answered; NaN: none yet."""
+
+    standing: RobotStanding
+    waiting_frames: int = 0
+    answered_s: float = math.nan
+
+
+_GAUGES: tuple[tuple[Metric, Callable[[RobotSeen, float], float]], ...] = (
+    (m.ROBOT_STATE, lambda robot, _: 0 if robot.standing.stream is None else robot.standing.state),
+    (m.ROBOT_ANSWER_AGE, lambda robot, now_s: now_s - robot.answered_s),
+    (m.ROBOT_QUEUE, lambda robot, _: robot.waiting_frames),
+    (m.ROBOT_BACKLOG, lambda robot, _: robot.standing.backlog_frames),
+    (m.ROBOT_SCANS, lambda robot, _: robot.standing.scans),
+    (m.ROBOT_SESSION_AGE, lambda robot, now_s: now_s - robot.standing.opened_s),
+    (m.ROBOT_UNDURABLE, lambda robot, _: robot.standing.undurable_frames),
+    (m.ROBOT_POSITION_SIGMA, lambda robot, _: robot.standing.position_sigma_m),
+    (m.ROBOT_ROTATION_SIGMA, lambda robot, _: robot.standing.rotation_sigma_rad),
+)
+
+
+class RobotGauges(Collector):
+    """A robot that has a series keeps it while it has a session here; who comes when all are taken is only counted."""
+
+    def __init__(self, most: int, registry: CollectorRegistry) -> None:
+        self._most = most
+        self._by_worker: dict[int, list[RobotSeen]] = {}
+        self._shown: dict[str, None] = {}  # in the order in which they came
+        registry.register(self)
+
+    def update(self, worker: int, robots: list[RobotSeen]) -> None:
+        """All sessions of a worker as they stand now."""
+        self._by_worker[worker] = robots
+
+    def describe(self) -> Iterator[GaugeMetricFamily]:
+        yield from (_family(metric) for metric in m.ROBOT_METRICS)
+
+    def collect(self) -> Iterator[GaugeMetricFamily]:
+        robots, now_s = self._robots(), time.monotonic()
+        self._shown = dict.fromkeys([*(r for r in self._shown if r in robots), *robots][: self._most])
+        for metric, value in _GAUGES:
+            family = _family(metric)
+            for robot_id in self._shown:
+                family.add_metric([robot_id], value(robots[robot_id], now_s))
+            yield family
+        more = _family(m.ROBOTS_NOT_SHOWN)
+        more.add_metric([], len(robots) - len(self._shown))
+        yield more
+
+    def _robots(self) -> dict[str, RobotSeen]:
+        """One session for each robot: the one with the newest scan, when frames of a run before are sent beside it."""
+        newest: dict[str, RobotSeen] = {}
+        for robot in [robot for robots in list(self._by_worker.values()) for robot in robots]:
+            other = newest.get(robot.standing.robot_id)
+            if other is None or robot.standing.last_stamp_ns >= other.standing.last_stamp_ns:
+                newest[robot.standing.robot_id] = robot
+        return newest
+
+
+def _family(metric: Metric) -> GaugeMetricFamily:
+    return GaugeMetricFamily(metric.name, metric.text, labels=metric.label_names)
