@@ -46,7 +46,7 @@ _REEL_SCANS, _BLIND_AFTER = 60, 15
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """calm, whole: spans of Unix time, of peace and of the run. screens: what `splitslam top` shows in peace, at the end."""
+    """calm, whole: spans of Unix time, of peace and of the run. screens: of `splitslam top`, in peace and after."""
 
     prometheus: Prometheus
     calm: tuple[float, float]
@@ -135,15 +135,15 @@ def _page(agent: Agent) -> Page:
 
 def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
     """What takes time goes on beside the rest; the robots that nobody harms come to an end by themselves."""
+    _refused(stack, reel)
+    _rude(stack, reel)
+    _flood(stack, reel)
     blind = LightRobot(stack.address, odd_frames.only_the_floor(reel, _BLIND_AFTER), "blind")
     crowd = [LightRobot(stack.replicas[0].address, reel, f"crowd-{k}") for k in range(3)]  # not by the proxy: uneven
     for robot in (blind, *crowd):
         robot.start()
     fleet.link.partition()
     healed_s = time.monotonic() + _AWAY_S
-    _refused(stack, reel)
-    _flood(stack, reel)
-    _rude(stack, reel)
     _stolen(stack, crowd[0])
     time.sleep(max(0.0, healed_s - time.monotonic()))
     fleet.link.heal()
