@@ -110,14 +110,14 @@ class Envoy(EnvoyProxy):
     def launch(self, command: Sequence[str | Path]) -> None:
         binary, _, config, *_ = command
         words = {"envoy": str(binary), "/etc/envoy/envoy.yaml": str(config)}
-        super().launch([words.get(word, word) for word in compose.SERVICES["envoy"]["command"]])
+        said: list[str] = compose.SERVICES["envoy"]["command"]
+        super().launch([words.get(word, word) for word in said])
 
     def well(self) -> bool:
         """Compose's health check."""
-        check = [
-            word.replace("9901", str(self.admin_port)) for word in compose.SERVICES["envoy"]["healthcheck"]["test"]
-        ]
-        return subprocess.run(check[1:], capture_output=True, timeout=10).returncode == 0
+        check = compose.SERVICES["envoy"]["healthcheck"]["test"][1:]
+        command = [word.replace("9901", str(self.admin_port)) for word in check]
+        return subprocess.run(command, capture_output=True, timeout=10).returncode == 0
 
 
 class Prometheus(StackProcess):

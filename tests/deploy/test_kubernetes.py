@@ -143,14 +143,15 @@ def test_a_pod_runs_as_its_image_says_and_has_the_time_to_drain(objects: dict) -
 
 
 def test_scaling_goes_by_a_metric_that_the_service_has_and_below_what_a_replica_refuses(
-    objects: dict, monkeypatch: pytest.MonkeyPatch
+    objects: dict,
 ) -> None:
     scaler = objects["HorizontalPodAutoscaler", OURS]["spec"]
     (metric,) = [entry["pods"] for entry in scaler["metrics"]]
-    exported = {family.name for family in ServiceMetrics().registry.collect()}
-    assert metric["metric"]["name"] in exported
     workers = next(entry["value"] for entry in container(objects)["env"] if entry["name"].endswith("__WORKERS"))
-    limit = ServiceConfig(workers=int(workers)).session_limit
+    config = ServiceConfig(workers=int(workers))
+    exported = {family.name for family in ServiceMetrics(config).registry.collect()}
+    assert metric["metric"]["name"] in exported
+    limit = config.session_limit
     assert 0.5 * limit < int(metric["target"]["averageValue"]) < limit
     assert scaler["scaleTargetRef"]["name"] == OURS
     assert "replicas" not in objects["Deployment", OURS]["spec"], "two would decide"

@@ -103,7 +103,8 @@ def make(version: str, service: Sequence[str], agent: Sequence[str], environment
 
 
 def _frames(agent: Sequence[str], recording: Path, folder: Path, out: Path) -> tuple[pb.Hello, list[pb.Frame]]:
-    with Recorder() as service:
+    service = Recorder()
+    with service:
         robot("golden", agent, recording, service.address, folder).wait_end()
     (hello,), frames = service.hellos, service.frames
     (out / "hello.bin").write_bytes(hello.SerializeToString())
