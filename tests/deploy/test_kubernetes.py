@@ -106,7 +106,8 @@ def test_the_proxy_is_that_of_compose_but_for_the_service_s_name(objects: dict) 
     """A name of a Kubernetes Service has no underscore."""
     theirs = (ROOT / compose.mounts("envoy")["/etc/envoy/envoy.yaml"]).read_text()
     ours = (FOLDER / "proxy" / "envoy.yaml").read_text()
-    assert ours == theirs.replace("address: map_service,", f"address: {OURS},") != theirs
+    again = "sed 's/address: map_service,/address: map-service,/' deploy/envoy/envoy-tls.yaml"
+    assert ours == theirs.replace("address: map_service,", f"address: {OURS},") != theirs, f"{again} > {FOLDER}/proxy/"
     assert ("Service", OURS) in objects
     assert objects["Service", OURS]["spec"]["clusterIP"] == "None", "one address for each replica"
     for file in (ROOT / "deploy" / "envoy" / "sds").glob("*.yaml"):
