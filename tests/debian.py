@@ -1,0 +1,64 @@
+"""Programs from Debian's archive without root: found on the PATH, or fetched into a cache folder of this checkout."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+CACHE = ROOT / "build" / "debian"
+_FETCH_S = 240
+
+
+def unpacked(*packages: str) -> Path:
+    """A folder as `/`, with these packages in it and nothing that they need besides.
+
+    Fetched once, whoever asks; where they cannot be fetched a test is skipped on a laptop and fails in CI.
+    """
+    folder = CACHE / packages[0]
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / "lock").open("w") as lock:  # several test processes want it at once
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / ".unpacked").exists() and (problem := _fetch(folder, packages)):
+            reason = f"Debian's {', '.join(packages)} cannot be fetched: {problem}"
+            pytest.fail(reason) if os.environ.get("CI", "").lower() in ("true", "1") else pytest.skip(reason)
+    return folder
+
+
+def binary(name: str, package: str) -> Path:
+    """The program on the PATH, else out of the package."""
+    found = shutil.which(name)
+    return Path(found) if found else unpacked(package) / "usr" / "bin" / name
+
+
+def _fetch(folder: Path, packages: Sequence[str]) -> str | None:
+    """Why they are not there now, or None."""
+    if not (shutil.which("apt-get") and shutil.which("dpkg")):
+        return "apt-get and dpkg are needed"
+    folder.mkdir(exist_ok=True)
+    problem = _run(folder, "apt-get", "download", *packages)
+    if problem is not None:  # no package lists, or old ones: ours are as good, and need no root
+        lists, archives = CACHE / "lists", CACHE / "archives"
+        for made in (lists, archives):
+            (made / "partial").mkdir(parents=True, exist_ok=True)
+        ours = [f"-oDir::State::Lists={lists}", f"-oDir::Cache={archives}", "-oAPT::Sandbox::User="]
+        problem = _run(folder, "apt-get", *ours, "update") or _run(folder, "apt-get", *ours, "download", *packages)
+    for archive in sorted(folder.glob("*.deb")):
+        problem = problem or _run(folder, "dpkg", "-x", str(archive), str(folder))
+        archive.unlink()
+    if problem is None:
+        (folder / ".unpacked").touch()
+    return problem
+
+
+def _run(folder: Path, *command: str) -> str | None:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_FETCH_S)
+    lines = [line for line in done.stderr.splitlines() if line.startswith("E:")] or [done.stderr.strip()]
+    return (lines[-1] or f"{command[0]} failed") if done.returncode else None
