@@ -254,6 +254,7 @@ class SessionHost:
                 mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
             )
             self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
+        self._poison.pop(row.session_id, None)
         _log.info("session finished", extra={"fields": {"session": row.session_id, "mapped": row.frames}})
         self._drop(session.request.session_id)
 
