@@ -14,7 +14,7 @@ FPGA := .venv-fpga/.set-up
 FPGA_TOOLS := g++ make perl
 WORKERS ?= 2
 
-.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report fuzz chaos check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report fuzz sbom chaos check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -71,6 +71,11 @@ fpga-report: ## the overlay's figures, measured afresh, one JSON object: clocks,
 
 fuzz: setup ## every decoder, the stream's state machine and a real service fed with what nobody should send (SECONDS=600, SEED=1)
 	@$(BIN)/python -m tests.fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
+
+sbom: setup ## out/sbom.json: the bill of materials of the lock, CycloneDX
+	@mkdir -p out
+	@$(BIN)/cyclonedx-py requirements $(LOCK) --pyproject pyproject.toml --spec-version 1.6 --output-format JSON \
+	    --output-reproducible --validate --output-file $(or $(SBOM),out/sbom.json)
 
 chaos: setup ## every plug pulled, then a soak of 30 minutes (SOAK_MINUTES=30, SEED=1, PREVIOUS=git ref to upgrade from)
 	@$(BIN)/python -m tests.chaos --soak-minutes $(or $(SOAK_MINUTES),30) --seed $(or $(SEED),1) $(if $(PREVIOUS),--previous $(PREVIOUS))

@@ -211,6 +211,7 @@ class SessionHost:
                 mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
             )
             self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
+        self._poison.pop(row.session_id, None)
         _log.info("session finished", extra=fields(session_id=row.session_id, mapped=row.frames))
         self.sessions.drop(session.request.session_id)
 

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import pydantic
 import yaml
+from yaml.composer import ComposerError
 
 from splitslam.errors import InputError
 
@@ -30,7 +31,7 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):  # a few of them in each other make gigabytes of a kilobyte
             mark = self.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not taken", mark)
+            raise ComposerError(None, None, "aliases (*name) are not taken", mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

@@ -12,8 +12,8 @@ _EDGES = (0, 1, 0x7F, 0x80, 0xFF)
 
 def mutated(seeds: Sequence[bytes], rng: Rng) -> bytes:
     """One of the seeds, changed in one to four places."""
-    data = bytearray(seeds[rng.integers(len(seeds))])
-    other = seeds[rng.integers(len(seeds))]
+    data = bytearray(seeds[int(rng.integers(len(seeds)))])
+    other = seeds[int(rng.integers(len(seeds)))]
     for _ in range(rng.integers(1, 5)):
         _WAYS[rng.integers(len(_WAYS))](data, other, rng)
     return bytes(data)

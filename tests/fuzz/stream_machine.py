@@ -30,7 +30,10 @@ WORST_S = 5.0
 
 
 class StreamMachine(RuleBasedStateMachine):
-    """The model: `applied` seq; what became of each (x in m, or why it was rejected); whether Bye was said."""
+    """The model: `applied` seq; what became of each (x in m, or why it was rejected); runs that are over.
+
+    Without a stream the only thing to do is to open one, so that most steps are spent on one.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -38,11 +41,16 @@ class StreamMachine(RuleBasedStateMachine):
         self.url = f"sqlite:///{self.folder / 'map.db'}"
         self.streams = itertools.count(1)
         self.sent: list[Any] = []
-        self.run_id = str(uuid.UUID(int=7))
+        self.runs = (str(uuid.UUID(int=n)) for n in itertools.count(7))
+        self.over: list[str] = []
         self.stream = 0  # 0: none open
-        self.applied, self.mapped, self.finished = 0, 0, False
-        self.became: dict[int, float | str] = {}
+        self.next_run()
         self.start()
+
+    def next_run(self) -> None:
+        self.run_id = next(self.runs)
+        self.applied, self.mapped = 0, 0
+        self.became: dict[int, float | str] = {}
 
     def start(self) -> None:
         self.store = Store(self.url)
@@ -64,6 +72,11 @@ class StreamMachine(RuleBasedStateMachine):
             if not self.host.committing:
                 break
         self.hold()
+
+    @property
+    def poisoned(self) -> int | None:
+        """The frame on which the pipeline has failed before."""
+        return self.host._poison.get(f"rover-7/{self.run_id}")
 
     def stop(self) -> None:
         """As a kill does: what the committing thread has not begun is lost."""
@@ -110,17 +123,20 @@ class StreamMachine(RuleBasedStateMachine):
         before, self.stream = self.stream, next(self.streams)
         greeting = hello(self.run_id).SerializeToString()
         said = self.tell(Open(self.stream, f"rover-7/{self.run_id}", greeting))
-        if self.finished:
-            refused = pb.StreamResponse.FromString(said[-1].body).refused
-            assert refused.reason == pb.REFUSED_REASON_FINISHED
-            self.stream = 0
-            return
         if before:
             assert said[0] == Abort(before, "ABORTED", "another stream has opened the session")
         welcome = pb.StreamResponse.FromString(said[-1].body).welcome
         assert welcome.applied_seq == self.applied
         assert welcome.durable_seq <= self.applied
 
+    @precondition(lambda self: self.stream and self.over)
+    @rule(data=st.data())
+    def open_what_is_over(self, data: st.DataObject) -> None:
+        run_id = data.draw(st.sampled_from(self.over))
+        (reply,) = self.tell(Open(next(self.streams), f"rover-7/{run_id}", hello(run_id).SerializeToString()))
+        assert pb.StreamResponse.FromString(reply.body).refused.reason == pb.REFUSED_REASON_FINISHED
+
+    @precondition(lambda self: self.stream)
     @rule(change=st.sampled_from([("robot_id", "../x"), ("run_id", "1"), ("deskew", "no"), ("wire_version", 9)]))
     def open_badly(self, change: tuple[str, Any]) -> None:
         """Another stream's bad Hello costs the open one nothing."""
@@ -138,6 +154,13 @@ class StreamMachine(RuleBasedStateMachine):
         self.take(self.applied + 1, payload(), mapped=True)
 
     @precondition(lambda self: self.stream)
+    @rule(count=st.integers(2, 12))
+    def next_frames(self, count: int) -> None:
+        """A commit is due at each keyframe: every fifth."""
+        for _ in range(count):
+            self.next_frame()
+
+    @precondition(lambda self: self.stream)
     @rule(ahead=st.integers(2, 50))
     def frame_after_a_declared_hole(self, ahead: int) -> None:
         if self.applied:
@@ -150,7 +173,7 @@ class StreamMachine(RuleBasedStateMachine):
         self.take(self.applied + 1, payload("corrupt"), mapped=False, **changes)
 
     def take(self, seq: int, content: bytes, *, mapped: bool, **changes: Any) -> None:
-        mapped &= seq not in self.host._poison.values()  # the pipeline has failed on that one before
+        mapped &= seq != self.poisoned  # the pipeline has failed on that one before
         answer = self.answer(self.ask(frame=frame(seq, content, **changes)))
         assert not answer.duplicate
         assert bool(answer.rejected) != mapped
@@ -192,13 +215,13 @@ class StreamMachine(RuleBasedStateMachine):
     @rule()
     def frame_that_breaks_the_pipeline(self) -> None:
         """The session goes on from the store; the same frame again is rejected."""
-        if self.applied + 1 in self.host._poison.values():
+        if self.applied + 1 == self.poisoned:
             self.take(self.applied + 1, payload("raise"), mapped=False)
             return
         self.ends(self.ask(frame=frame(self.applied + 1, payload("raise"))), "INTERNAL")
         self.fall_back()
         self.open()
-        if self.applied + 1 not in self.host._poison.values():
+        if self.applied + 1 != self.poisoned:
             return  # commits were lost with the pipeline: another frame is next
         self.take(self.applied + 1, payload("raise"), mapped=False)
 
@@ -219,6 +242,7 @@ class StreamMachine(RuleBasedStateMachine):
     def report(self, counts: dict[str, int]) -> None:
         assert self.ask(report=pb.EdgeReport(dropped_by_reason=counts)) == []
 
+    @precondition(lambda self: self.stream)
     @rule(stream=st.integers(1000, 1010), kind=st.sampled_from(["request", "close", "hand over", "forget"]))
     def about_a_stream_that_is_not_there(self, stream: int, kind: str) -> None:
         body = pb.StreamRequest(frame=frame(1)).SerializeToString()
@@ -249,14 +273,18 @@ class StreamMachine(RuleBasedStateMachine):
         said = said or self.landed()
         finished = pb.StreamResponse.FromString(said[-1].body).finished
         assert finished.mapped == self.mapped
-        self.finished, self.stream = True, 0
+        self.over.append(self.run_id)
+        self.stream = 0
+        self.next_run()
 
+    @precondition(lambda self: self.stream)
     @rule()
     def commits_land(self) -> None:
         self.sent.clear()
         self.land()
         assert self.sent == []
 
+    @precondition(lambda self: self.stream)
     @rule()
     def killed_and_started_again(self) -> None:
         """What was not committed is forgotten, all of it and nothing else."""
@@ -270,7 +298,7 @@ class StreamMachine(RuleBasedStateMachine):
         """To what the store has, once it has what is under way: the model asks the store itself."""
         self.land()
         with self.store.reading() as connection:
-            row = connection.exec_driver_sql("select last_seq from sessions").first()
+            row = connection.exec_driver_sql("select last_seq from sessions where run_id = ?", (self.run_id,)).first()
         self.applied = 0 if row is None else int(row[0])
         self.became = {seq: value for seq, value in self.became.items() if seq <= self.applied}
         self.mapped = int(max((v for v in self.became.values() if isinstance(v, float)), default=0))
