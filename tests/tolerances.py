@@ -133,3 +133,6 @@ GOLDEN_M = 2e-5
 # `systemd-analyze security`: 0 is locked, 10 is open.
 UNIT_EXPOSURE = 3.0
 UNIT_EXPOSURE_FPGA = 6.0
+
+# Counting one scan on either side, CPU time of the thread: ten times what was seen (docs/benchmarks.md).
+METRICS_CPU_S = 200e-6

@@ -15,7 +15,7 @@ from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, frame, hello
+from tests.map_service.harness import Operator, Robot7, Service, frame, hello, new_run
 
 Connect = Callable[..., Robot7]
 
@@ -254,3 +254,23 @@ def test_a_session_of_a_later_release_is_sent_to_another_replica_and_not_touched
     assert "the session is of another release: tracker state of version 9" in refused.detail
     with sqlite3.connect(tmp_path / "map.db") as store:
         assert store.execute("SELECT tracker, last_seq FROM sessions").fetchall() == [(later, 1)]
+
+
+def test_a_stream_that_breaks_is_counted_by_its_end_and_leaves_no_traceback(service: Service, connect: Connect) -> None:
+    """By the robot; by us, for a gap; by a worker that dies. A Bye ends it well."""
+    gone, gap, crash, well = (connect(service, run_id=new_run()) for _ in range(4))
+    for robot in (gone, gap, crash, well):
+        robot.ask(frame(1))
+    gone.close()
+    gap.send(frame(5))
+    assert gap.end() == grpc.StatusCode.ABORTED
+    well.send(pb.Bye(last_seq=1))
+    assert well.end() == grpc.StatusCode.OK
+    crash.send(frame(2, payload("crash", once=str(service.folder / "crashed"))))
+    assert crash.end() == grpc.StatusCode.UNAVAILABLE
+    ends = {"ok": 1, "cancelled": 1, "aborted": 1, "unavailable": 1}
+    metrics = service.metrics()
+    assert {name: metrics[f'splitslam_map_stream_ends_total{{status="{name}"}}'] for name in ends} == ends
+    log = [json.loads(line) for line in service.log.splitlines()]
+    assert {line["status"] for line in log if line["event"] == "stream ended"} == set(ends)
+    assert not [line for line in log if "exception" in line]
