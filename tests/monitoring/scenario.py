@@ -39,7 +39,9 @@ _SMALL_SPOOL = {"spool": {"max_bytes": 2**16}, "uplink": {"copies_bytes": 0}, "o
 _BUDGET = {"uplink": {"max_kbps": 100.0}, "pipeline": {"deskew": "fpga"}}
 _ON_A_SICK_BOARD = (sys.executable, "-m", "tests.monitoring.sick_logic")
 _GET_READY_S = 8.0
-_CALM_S, _AWAY_S, _DISK_S, _STORE_S = 4.0, 4.0, 1.0, 1.5
+_CALM_S, _AWAY_S, _STORE_S, _DEAD_S = 4.0, 4.0, 1.5, 1.0
+_WAIT_S = 60.0  # on a busy machine
+_COMMIT_S = 1.2  # in which every session is committed
 _SCRAPES_S = 2.5  # after the last fault, so that it is on two pages
 _REEL_SCANS, _BLIND_AFTER = 60, 15
 
@@ -60,10 +62,11 @@ def watched_fleet(folder: Path, rules: Path) -> Iterator[Watched]:
     with ExitStack() as cleanup:
         stack, drives = _prepare(folder, cleanup)
         fleet = _Fleet(folder, stack, drives, cleanup)
-        reel = record(drives[0].recording, drives[0].robot, max_scans=_REEL_SCANS)  # while the agents get ready
         prometheus, began_s = cleanup.enter_context(Prometheus(folder, fleet.targets, rules)), time.time()
+        reel = record(drives[0].recording, drives[0].robot, max_scans=_REEL_SCANS)  # while the agents get ready
         top = Top([*fleet.targets["edge-agent"], *fleet.targets["map-service"]])
         fleet.wait_tracking()
+        wait_until(lambda: _reached(prometheus) == 4, _WAIT_S, "a page of each of the four")
         calm_s = time.time()
         top.read()
         time.sleep(_CALM_S)
@@ -112,7 +115,13 @@ class _Fleet:
         }
 
     def wait_tracking(self) -> None:
-        wait_until(lambda: _tracks(self.calm) and _tracks(self.sick), 60.0, "both agents tracking")
+        wait_until(lambda: _tracks(self.calm) and _tracks(self.sick), _WAIT_S, "both agents tracking")
+
+
+def _reached(prometheus: Prometheus) -> float:
+    """Targets that it has pages of; it begins to look for them seconds after its start."""
+    (answer,) = prometheus.ask("query", query="sum(up)")["result"] or [{"value": (0, "0")}]
+    return float(answer["value"][1])
 
 
 def _metrics_of(agent: Agent) -> str:
@@ -148,19 +157,24 @@ def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
     time.sleep(max(0.0, healed_s - time.monotonic()))
     fleet.link.heal()
     with _no_disk(fleet.calm.process.pid):
-        time.sleep(_DISK_S)
+        _until(fleet.calm, "splitslam_edge_spool_errors_total", "a frame that the disk does not take")
     os.kill(stack.replicas[0].workers()[-1], signal.SIGKILL)
     assert stack.postgres is not None
     stack.postgres.kill()
     time.sleep(_STORE_S)
     stack.postgres.start()
     fleet.calm.process.kill()
-    time.sleep(1.0)
-    wait_until(lambda: _page(fleet.calm).has("splitslam_"), 60.0, "the agent again")
-    wait_until(lambda: fleet.sick.done or _page(fleet.sick).value("splitslam_edge_check_problems") > 0, 60.0, "a check")
+    time.sleep(_DEAD_S)
+    wait_until(lambda: _page(fleet.calm).has("splitslam_"), _WAIT_S, "the agent again")
+    _until(fleet.sick, "splitslam_edge_check_problems", "what the robot file is wrong about")
     time.sleep(_SCRAPES_S)
     for robot in (blind, *crowd):
         robot.close()
+
+
+def _until(agent: Agent, metric: str, what: str) -> None:
+    """Waits until it counts something there; an agent that has come to its end has been scraped before."""
+    wait_until(lambda: agent.done or _page(agent).value(metric) > 0, _WAIT_S, what)
 
 
 def _refused(stack: Stack, reel: Reel) -> None:
@@ -193,11 +207,21 @@ def _rude(stack: Stack, reel: Reel) -> None:
 
 
 def _stolen(stack: Stack, robot: LightRobot) -> None:
-    """Somebody opens its session at the other replica, as a robot would that has given the first one up."""
-    thief = Robot7(stack.replicas[1].address, robot.hello)
-    thief.next("welcome")
-    time.sleep(1.2)  # the owner's next commit
-    thief.close()
+    """Somebody opens its session at the other replica, as a robot would that has given the first one up.
+
+    Until the owner, if it was the first replica just then, finds at its next commit that it is not any more.
+    """
+    robot.wait_answers(5, _WAIT_S)
+    before = _fenced(stack)
+    while _fenced(stack) == before and robot.sent < _REEL_SCANS - 5:
+        thief = Robot7(stack.replicas[1].address, robot.hello)
+        thief.next("welcome")
+        time.sleep(_COMMIT_S)
+        thief.close()
+
+
+def _fenced(stack: Stack) -> float:
+    return sum(replica.metrics()["splitslam_map_fenced_total"] for replica in stack.replicas)
 
 
 @contextmanager
