@@ -1,4 +1,4 @@
-"""A made drive, and the same as a robot records it whose IMU is bad: silent for a while, a clock that steps, NaN."""
+"""A made drive, and the same as a robot records it whose IMU is bad: silent for a while, NaN, a clock that steps."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ SECONDS = 38.0
 _SILENT_S = (7.0, 10.0)  # longer than scans wait for their IMU
 _STEP_S, _STEP_BY_S = 14.0, 3600
 _NAN_S = (11.0, 11.02)
-_STAMP = struct.Struct("<I")  # seconds of a ROS 1 header, behind its sequence number
-_GYRO_AT_BYTE = 4 + 8  # of a Header: seq, stamp; then the frame's name
+# sensor_msgs/Imu in ROS 1: Header{seq, stamp, frame}, orientation and covariance, gyro, ...
+_SECONDS, _LENGTH, _X = struct.Struct("<I"), struct.Struct("<I"), struct.Struct("<d")
+_SECONDS_AT_BYTE, _NAME_AT_BYTE = 4, 12
 
 
 def make(folder: Path) -> Drive:
@@ -56,9 +57,10 @@ def _bad_imu(raw: bytes, after_s: float) -> Iterator[bytes]:
         return
     message = bytearray(raw)
     if after_s >= _STEP_S:
-        _STAMP.pack_into(message, 4, _STAMP.unpack_from(message, 4)[0] + _STEP_BY_S)
+        seconds = _SECONDS.unpack_from(message, _SECONDS_AT_BYTE)[0]
+        _SECONDS.pack_into(message, _SECONDS_AT_BYTE, seconds + _STEP_BY_S)
     if _NAN_S[0] <= after_s < _NAN_S[1]:
-        name_bytes = _STAMP.unpack_from(message, _GYRO_AT_BYTE)[0]
-        gyro = _GYRO_AT_BYTE + 4 + name_bytes + (4 + 9) * 8  # behind the name, the orientation and its covariance
-        struct.pack_into("<d", message, gyro, np.nan)
+        name_bytes = _LENGTH.unpack_from(message, _NAME_AT_BYTE)[0]
+        gyro = _NAME_AT_BYTE + _LENGTH.size + name_bytes + (4 + 9) * _X.size  # behind the orientation, its covariance
+        _X.pack_into(message, gyro, np.nan)
     yield bytes(message)

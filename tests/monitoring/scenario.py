@@ -8,7 +8,8 @@ import signal
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import Any
 
 from splitslam.chaos.agent import PROGRAM, Agent, Drive
 from splitslam.chaos.link import Link
-from splitslam.stack import Stack
+from splitslam.stack import Stack, StackError
 from splitslam.stack.process import free_port, wait_until
 from splitslam.stack.reel import Reel, record
 from splitslam.stack.robot import LightRobot
@@ -31,7 +32,7 @@ from tests.monitoring.prometheus import Prometheus
 CALM, SICK = "rover-1", "rover-2"  # the network, disk and process of the first are harmed later, the other's sensors
 _STREAMS = 4  # that a robot may have open
 _REPLICAS = {
-    "replica": {"beat_s": 0.2, "rest_s": 0.4},
+    "replica": {"beat_s": 0.4, "rest_s": 0.8},
     "quota": {"sites": {"yard": 10**9}},
     "limits": {"client": {"streams": _STREAMS}, "max_delay_s": 60.0},  # a slow machine is not what is tested
 }
@@ -39,9 +40,11 @@ _SMALL_SPOOL = {"spool": {"max_bytes": 2**16}, "uplink": {"copies_bytes": 0}, "o
 _BUDGET = {"uplink": {"max_kbps": 100.0}, "pipeline": {"deskew": "fpga"}}
 _ON_A_SICK_BOARD = (sys.executable, "-m", "tests.monitoring.sick_logic")
 _GET_READY_S = 8.0
-_CALM_S, _AWAY_S, _DISK_S, _STORE_S = 4.0, 4.0, 1.0, 1.5
+_CALM_S, _AWAY_S, _STORE_S, _DEAD_S = 4.0, 4.0, 1.5, 1.0
+_WAIT_S = 60.0  # on a busy machine
+_COMMIT_S = 1.2  # in which every session is committed
 _SCRAPES_S = 2.5  # after the last fault, so that it is on two pages
-_REEL_SCANS, _BLIND_AFTER = 60, 15
+_REEL_SCANS, _BLIND_AFTER = 100, 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +63,11 @@ def watched_fleet(folder: Path, rules: Path) -> Iterator[Watched]:
     with ExitStack() as cleanup:
         stack, drives = _prepare(folder, cleanup)
         fleet = _Fleet(folder, stack, drives, cleanup)
-        reel = record(drives[0].recording, drives[0].robot, max_scans=_REEL_SCANS)  # while the agents get ready
         prometheus, began_s = cleanup.enter_context(Prometheus(folder, fleet.targets, rules)), time.time()
+        reel = record(drives[0].recording, drives[0].robot, max_scans=_REEL_SCANS)  # while the agents get ready
         top = Top([*fleet.targets["edge-agent"], *fleet.targets["map-service"]])
         fleet.wait_tracking()
+        wait_until(lambda: _reached(prometheus) == 4, _WAIT_S, "a page of each of the four")
         calm_s = time.time()
         top.read()
         time.sleep(_CALM_S)
@@ -112,7 +116,13 @@ class _Fleet:
         }
 
     def wait_tracking(self) -> None:
-        wait_until(lambda: _tracks(self.calm) and _tracks(self.sick), 60.0, "both agents tracking")
+        wait_until(lambda: _tracks(self.calm) and _tracks(self.sick), _WAIT_S, "both agents tracking")
+
+
+def _reached(prometheus: Prometheus) -> float:
+    """Targets that it has pages of; it begins to look for them seconds after its start."""
+    (answer,) = prometheus.ask("query", query="sum(up)")["result"] or [{"value": (0, "0")}]
+    return float(answer["value"][1])
 
 
 def _metrics_of(agent: Agent) -> str:
@@ -148,19 +158,39 @@ def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
     time.sleep(max(0.0, healed_s - time.monotonic()))
     fleet.link.heal()
     with _no_disk(fleet.calm.process.pid):
-        time.sleep(_DISK_S)
+        _until(fleet.calm, "splitslam_edge_spool_errors_total", "a frame that the disk does not take")
     os.kill(stack.replicas[0].workers()[-1], signal.SIGKILL)
     assert stack.postgres is not None
     stack.postgres.kill()
     time.sleep(_STORE_S)
     stack.postgres.start()
     fleet.calm.process.kill()
-    time.sleep(1.0)
-    wait_until(lambda: _page(fleet.calm).has("splitslam_"), 60.0, "the agent again")
-    wait_until(lambda: fleet.sick.done or _page(fleet.sick).value("splitslam_edge_check_problems") > 0, 60.0, "a check")
+    time.sleep(_DEAD_S)
+    wait_until(lambda: _page(fleet.calm).has("splitslam_"), _WAIT_S, "the agent again")
+    _until(fleet.sick, "splitslam_edge_check_problems", "what the robot file is wrong about")
     time.sleep(_SCRAPES_S)
     for robot in (blind, *crowd):
         robot.close()
+
+
+def _until(agent: Agent, metric: str, what: str) -> None:
+    """Waits until it counts something there; an agent that has come to its end has been scraped before."""
+    wait_until(lambda: agent.done or _page(agent).value(metric) > 0, _WAIT_S, what)
+
+
+def _again(stack: Stack, counters: tuple[str, ...], do: Callable[[], None]) -> None:
+    """Does it until each of these has counted, as the balance of replicas may end a stream before its time."""
+    deadline_s = time.monotonic() + _WAIT_S
+    before = _counted(stack)
+    while not all(_counted(stack)[name] > before[name] for name in counters):
+        if time.monotonic() > deadline_s:
+            raise StackError(f"{counters}: not within {_WAIT_S:g} s")
+        do()
+
+
+def _counted(stack: Stack) -> Counter[str]:
+    """Every sample of the service, all replicas together."""
+    return sum((Counter(replica.metrics()) for replica in stack.replicas), Counter())
 
 
 def _refused(stack: Stack, reel: Reel) -> None:
@@ -173,31 +203,42 @@ def _refused(stack: Stack, reel: Reel) -> None:
 
 
 def _flood(stack: Stack, reel: Reel) -> None:
-    """One stream more than a robot may have."""
-    robots = [Robot7(stack.replicas[1].address, reel.hello_of("flood")) for _ in range(_STREAMS + 1)]
-    robots[-1].next("refused")
+    """More streams than a robot may have."""
+    robots: list[Robot7] = []
+    replica = stack.replicas[1]
+    denied = ('splitslam_map_auth_refused_total{reason="streams"}',)
+    _again(stack, denied, lambda: robots.append(Robot7(replica.address, reel.hello_of("flood"))))
     for robot in robots:
         robot.close()
 
 
 def _rude(stack: Stack, reel: Reel) -> None:
     """Flipped bits, and a frame that is not the next one."""
-    robot = Robot7(stack.address, reel.hello_of("rude"))
-    robot.next("welcome")
-    for frame in reel.frames[:3]:
-        robot.ask(frame)
-    robot.ask(odd_frames.flipped(reel.frames[3]))
-    robot.send(reel.frames[40])
-    robot.end()
-    robot.close()
+
+    def be_rude() -> None:
+        robot = Robot7(stack.address, reel.hello_of("rude"))
+        for frame in (*reel.frames[:3], odd_frames.flipped(reel.frames[3]), reel.frames[_REEL_SCANS // 2]):
+            robot.send(frame)
+        robot.end()
+        robot.close()
+
+    counters = ('splitslam_map_rejected_total{reason="corrupt"}', 'splitslam_map_frames_total{result="gap"}')
+    _again(stack, counters, be_rude)
 
 
 def _stolen(stack: Stack, robot: LightRobot) -> None:
-    """Somebody opens its session at the other replica, as a robot would that has given the first one up."""
-    thief = Robot7(stack.replicas[1].address, robot.hello)
-    thief.next("welcome")
-    time.sleep(1.2)  # the owner's next commit
-    thief.close()
+    """Somebody opens its session at the other replica, as a robot would that has given the first one up.
+
+    The owner, if it was the first replica just then, finds at its next commit that it is not any more.
+    """
+
+    def steal() -> None:
+        thief = Robot7(stack.replicas[1].address, robot.hello)
+        time.sleep(_COMMIT_S)
+        thief.close()
+
+    robot.wait_answers(5, _WAIT_S)
+    _again(stack, ("splitslam_map_fenced_total",), steal)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.grafana.boards import BOARDS
-from deploy.grafana.boards.panel import Board, Panel
+from deploy.grafana.boards.panel import Board, Panel, Query
 from splitslam.top.rows import ReplicaRow, RobotRow
 from tests.monitoring.alert_rules import RULES, metrics_of, rules
 from tests.monitoring.prometheus import Prometheus
@@ -28,31 +28,35 @@ def filled_in(expr: str, robot: str) -> str:
     return expr
 
 
-def shown(watched: Watched, panel: Panel, robots: Iterable[str], span: tuple[float, float]) -> list[float]:
-    """Every number that the panel's queries give in that time."""
-    ask = watched.prometheus.series
-    series = [ask(filled_in(query.expr, robot), *span) for query in panel.queries for robot in robots]
+def shown(watched: Watched, query: Query, robots: Iterable[str], span: tuple[float, float]) -> list[float]:
+    """Every number that the query gives in that time."""
+    series = [watched.prometheus.series(filled_in(query.expr, robot), *span) for robot in robots]
     return [value for one in series for values in one for value in values if not math.isnan(value)]
 
 
-def empty(watched: Watched, board: Board) -> list[str]:
-    """Panels with a query that gives no number in the whole run."""
+def queries(boards: Iterable[Board]) -> list[tuple[str, Panel, Query]]:
+    """Every query, and where it is."""
     return [
-        f"{board.title} / {panel.title}: {query.expr}"
+        (f"{board.title} / {panel.title}: {query.expr}", panel, query)
+        for board in boards
         for panel in board.panels
         for query in panel.queries
-        if not shown(watched, Panel(panel.title, "", (query,)), ROBOTS, watched.whole)
     ]
 
 
-def unseen(watched: Watched, board: Board) -> list[str]:
-    """Panels that are to show a fault and were never higher than they are while all is well."""
+def empty(watched: Watched, boards: Iterable[Board]) -> list[str]:
+    """Queries that give no number in the whole run."""
+    return [name for name, _, query in queries(boards) if not shown(watched, query, ROBOTS, watched.whole)]
+
+
+def unseen(watched: Watched, boards: Iterable[Board]) -> list[str]:
+    """Queries that are to show a fault and were never higher than they are while all is well."""
     found = []
-    for panel in board.panels:
-        before = max(shown(watched, panel, (CALM,), watched.calm), default=0.0)
-        after = max(shown(watched, panel, ROBOTS, watched.whole), default=0.0)
-        if panel.fault and not after > before:
-            found.append(f"{board.title} / {panel.title}: {before:g}, then {after:g}")
+    for name, _, query in filter(lambda one: one[1].fault, queries(boards)):
+        before = max(shown(watched, query, (CALM,), watched.calm), default=0.0)
+        after = max(shown(watched, query, ROBOTS, watched.whole), default=0.0)
+        if not after > before:
+            found.append(f"{name}: {before:g}, then {after:g}")
     return found
 
 
@@ -78,8 +82,8 @@ def firing(prometheus: Prometheus) -> set[str]:
 @pytest.mark.alone
 def test_no_panel_is_empty_and_each_fault_is_seen_on_its_panel_by_the_alerts_and_by_top(tmp_path: Path) -> None:
     with watched_fleet(tmp_path, RULES) as watched:
-        assert [text for board in BOARDS.values() for text in empty(watched, board)] == []
-        assert [text for board in BOARDS.values() for text in unseen(watched, board)] == []
+        assert empty(watched, BOARDS.values()) == []
+        assert unseen(watched, BOARDS.values()) == []
         assert unknown_metrics(watched.prometheus) == failing(watched.prometheus) == []
         assert firing(watched.prometheus) >= AT_ONCE
     calm, harmed = watched.screens

@@ -24,7 +24,7 @@ NOW = Row(
             "As the robot's own computer has it. Unanchored: the map service does not answer, or catches up.",
             (Query(_now("splitslam_edge_state"), "state"),),
             "states",
-            width=12,
+            width=9,
         ),
         number(
             "Round trip, p99",
@@ -47,6 +47,13 @@ NOW = Row(
             unit="percentunit",
             warn=0.5,
             bad=0.75,
+        ),
+        number(
+            "IMU begun anew",
+            "Within an hour: how often the Imu node's solution could not be used.",
+            events("splitslam_edge_imu_resets_total", _THIS, window="1h"),
+            warn=0.5,
+            bad=3,
         ),
         number(
             "Setup",
@@ -72,10 +79,9 @@ SENSORS = Row(
         ),
         lines(
             "IMU gaps",
-            "Times without samples that interpolation cannot bridge, scans that went without, node begun anew.",
+            "Times without samples that interpolation cannot bridge, and scans that went without.",
             Query(events("splitslam_edge_imu_gaps_total", _THIS), "gaps"),
             Query(events("splitslam_edge_uncovered_scans_total", _THIS), "scans without"),
-            Query(events("splitslam_edge_imu_resets_total", _THIS), "begun anew"),
             fault=True,
         ),
         lines(
