@@ -102,16 +102,20 @@ def test_nothing_secret_is_in_the_files(objects: dict) -> None:
     assert store["valueFrom"] == {"secretKeyRef": {"name": "map-service-store", "key": "url"}}
 
 
-def test_the_proxy_is_that_of_compose_but_for_the_service_s_name(objects: dict) -> None:
-    """A name of a Kubernetes Service has no underscore."""
-    theirs = (ROOT / compose.mounts("envoy")["/etc/envoy/envoy.yaml"]).read_text()
-    ours = (FOLDER / "proxy" / "envoy.yaml").read_text()
-    again = "sed 's/address: map_service,/address: map-service,/' deploy/envoy/envoy-tls.yaml"
-    assert ours == theirs.replace("address: map_service,", f"address: {OURS},") != theirs, f"{again} > {FOLDER}/proxy/"
-    assert ("Service", OURS) in objects
+def test_the_proxy_is_that_of_compose(objects: dict) -> None:
+    file = ROOT / compose.mounts("envoy")["/etc/envoy/envoy.yaml"]
+    assert objects["ConfigMap", "envoy"]["data"] == {"envoy.yaml": file.read_text()}
+    sds = {path.name: path.read_text() for path in (ROOT / compose.mounts("envoy")["/etc/envoy/sds"]).glob("*.yaml")}
+    assert objects["ConfigMap", "envoy-sds"]["data"] == sds
+    assert f"address: {OURS}," in file.read_text()
     assert objects["Service", OURS]["spec"]["clusterIP"] == "None", "one address for each replica"
-    for file in (ROOT / "deploy" / "envoy" / "sds").glob("*.yaml"):
-        assert (FOLDER / "proxy" / file.name).read_text() == file.read_text()
+    volumes = {
+        volume["name"]: volume for volume in objects["Deployment", "envoy"]["spec"]["template"]["spec"]["volumes"]
+    }
+    for name, volume in (("envoy", "envoy"), ("envoy-sds", "sds")):
+        made = objects["ConfigMap", name]["metadata"]
+        assert volumes[volume]["configMap"]["name"] == made["name"] != name, "a new one for each content"
+        assert made["namespace"] == "splitslam"
     assert container(objects, "envoy")["image"] == compose.SERVICES["envoy"]["image"]
     assert container(objects, "envoy")["command"] == compose.SERVICES["envoy"]["command"]
 
