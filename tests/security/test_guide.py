@@ -39,7 +39,7 @@ def test_the_set_up_of_the_guide_works_as_it_stands(tmp_path: Path, monkeypatch:
     agent = config.validate(AgentConfig, config.parse_yaml(agent_text, "guide") | values, "guide")
     assert Connector(agent.server, agent.tls).expires_s > 0
     service = config.validate(ServiceConfig, config.parse_yaml(service_text, "guide"), "guide")
-    metrics = ServiceMetrics()
+    metrics = ServiceMetrics(service)
     Door(service.tls, metrics)
     assert metrics.registry.get_sample_value("splitslam_map_certificate_expiry_timestamp_seconds") is not None
 
