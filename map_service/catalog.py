@@ -11,6 +11,7 @@ from sqlalchemy import Connection, Row, delete, func, select
 from map_service import schema
 from map_service.rows import unpack_pose
 from map_service.store import Store
+from splitslam.errors import DataError
 
 _PAGE_ROWS = 1000
 
@@ -57,7 +58,10 @@ class Catalog:
             return delete_session(connection, session_id)
 
     def trajectory(self, key: int) -> Iterator[list[tuple[int, int, np.ndarray]]]:
-        """Chunks of at most 1,000 (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only."""
+        """Chunks of at most 1,000 (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only.
+
+        Raises DataError for rows that do not hold together.
+        """
         f, k = schema.frames, schema.keyframes
         with self._store.reading() as connection:  # one read transaction: poses before and after a loop never mix
             poses = {
@@ -73,6 +77,8 @@ class Catalog:
             )
             with connection.execute(query.execution_options(yield_per=_PAGE_ROWS)) as rows:
                 for page in rows.partitions():
+                    if lost := next((row.seq for row in page if row.keyframe not in poses), None):
+                        raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
                     yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
     def keyframes(self, key: int) -> Iterator[StoredKeyframe]:

@@ -47,10 +47,10 @@ def pack_pose(T: np.ndarray) -> bytes:
     return np.concatenate([T[:3, 3], se3.quat_from_matrix(T[:3, :3])]).astype("<f8").tobytes()
 
 
-def unpack_pose(data: bytes) -> np.ndarray:
+def unpack_pose(data: bytes | None) -> np.ndarray:
     """56 bytes -> (4, 4). Raises DataError("corrupt") for what cannot be a pose."""
-    if len(data) != _POSE_BYTES:
-        raise DataError("corrupt", f"a pose of {len(data)} bytes")
+    if data is None or len(data) != _POSE_BYTES:
+        raise DataError("corrupt", f"a pose of {0 if data is None else len(data)} bytes")
     values = np.frombuffer(data, "<f8")
     if not np.abs(values).max() < _FAR:  # NaN as well
         raise DataError("corrupt", "a pose that is nowhere")

@@ -16,6 +16,7 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
+from map_service import integrity
 from map_service.channel import Abort, Close, Forget, Handed, HandOver, Open, Reply, Request
 from map_service.config import CommitConfig, ServiceConfig
 from map_service.host import SessionHost
@@ -51,6 +52,7 @@ class StreamMachine(RuleBasedStateMachine):
         self.run_id = next(self.runs)
         self.applied, self.mapped = 0, 0
         self.became: dict[int, float | str] = {}
+        self.stamps: dict[int, int] = {}
 
     def start(self) -> None:
         self.store = Store(self.url)
@@ -86,8 +88,15 @@ class StreamMachine(RuleBasedStateMachine):
         self.store.close()
 
     def teardown(self) -> None:
+        """However it went, the store is sound."""
         self.stop()
-        self.remove()
+        left = Store(self.url)
+        try:
+            found = list(integrity.findings(left, integrity.Seen()))
+            assert [line for line in found if "factor" not in line] == []  # the pipeline's are no real ones
+        finally:
+            left.close()
+            self.remove()
 
     # --- what the service is told, and what it says ------------------------------------------------------------
 
@@ -169,12 +178,15 @@ class StreamMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.stream)
     @rule(content=st.sampled_from(["corrupt", "codec", "time"]))
     def unusable_frame(self, content: str) -> None:
-        changes: dict[str, Any] = {"codec": {"codec_version": 99}, "time": {"stamp_ns": 0}}.get(content, {})
+        again = {"stamp_ns": max(self.stamps.values(), default=0)}
+        changes: dict[str, Any] = {"codec": {"codec_version": 99}, "time": again}.get(content, {})
         self.take(self.applied + 1, payload("corrupt"), mapped=False, **changes)
 
     def take(self, seq: int, content: bytes, *, mapped: bool, **changes: Any) -> None:
         mapped &= seq != self.poisoned  # the pipeline has failed on that one before
-        answer = self.answer(self.ask(frame=frame(seq, content, **changes)))
+        message = frame(seq, content, **changes)
+        answer = self.answer(self.ask(frame=message))
+        self.stamps[seq] = message.stamp_ns
         assert not answer.duplicate
         assert bool(answer.rejected) != mapped
         self.mapped += mapped
@@ -301,6 +313,7 @@ class StreamMachine(RuleBasedStateMachine):
             row = connection.exec_driver_sql("select last_seq from sessions where run_id = ?", (self.run_id,)).first()
         self.applied = 0 if row is None else int(row[0])
         self.became = {seq: value for seq, value in self.became.items() if seq <= self.applied}
+        self.stamps = {seq: stamp_ns for seq, stamp_ns in self.stamps.items() if seq <= self.applied}
         self.mapped = int(max((v for v in self.became.values() if isinstance(v, float)), default=0))
 
     def landed(self) -> list[Any]:
