@@ -72,14 +72,15 @@ class SessionHost:
         try:
             session = self._opener.open(message.hello)
         except RefusedError as refusal:
-            self._refuse(message.stream, refusal.message)
+            self._refuse(message.stream, message.session_id, refusal.message)
         except FinishedError:
             detail = "the session has ended and is read-only"
-            self._refuse(message.stream, pb.Refused(reason=pb.REFUSED_REASON_FINISHED, detail=detail))
+            refusal = pb.Refused(reason=pb.REFUSED_REASON_FINISHED, detail=detail)
+            self._refuse(message.stream, message.session_id, refusal)
         except StoreError as error:
             detail = f"store: {error}"[:200]
             refusal = pb.Refused(reason=pb.REFUSED_REASON_STORE, detail=detail, retry_after_ms=STORE_RETRY_MS)
-            self._refuse(message.stream, refusal)
+            self._refuse(message.stream, message.session_id, refusal)
         except Exception:
             _log.exception("session cannot be opened", extra=fields(session_id=message.session_id))
             self.sessions.drop(message.session_id)
@@ -87,10 +88,10 @@ class SessionHost:
         else:
             self._attach(session, message.stream)
 
-    def _refuse(self, stream: int, refused: pb.Refused) -> None:
+    def _refuse(self, stream: int, session_id: str, refused: pb.Refused) -> None:
         reason = refusal_word(refused)
         self.tally.count("refused", reason)
-        _log.warning("refused", extra=fields(reason=reason, detail=refused.detail))
+        _log.warning("refused", extra=fields(session_id=session_id, reason=reason, detail=refused.detail))
         self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))
 
     def _attach(self, session: Session, stream: int) -> None:
@@ -247,7 +248,7 @@ class SessionHost:
                 session.commit()
                 stream = session.stream
                 self.sessions.detach(stream)
-                self._refuse(stream, refusal.message)
+                self._refuse(stream, session.request.session_id, refusal.message)
 
     def _fenced(self, session: Session, error: Exception) -> None:
         self.tally.count("fenced")

@@ -128,3 +128,6 @@ CHAOS_GAP_SLACK = 3.0
 # `systemd-analyze security`: 0 is locked, 10 is open.
 UNIT_EXPOSURE = 3.0
 UNIT_EXPOSURE_FPGA = 6.0
+
+# Counting one scan on either side, CPU time of the thread: ten times what was seen (docs/benchmarks.md).
+METRICS_CPU_S = 200e-6
