@@ -55,6 +55,8 @@ parse() {
     CACHE=$ROOT/var/cache/splitslam UNITS=$ROOT/etc/systemd/system
     UNIT=edge-agent EXTRA=edge YAML=edge.yaml
     if [[ $SERVICE ]]; then UNIT=map-service EXTRA=server YAML=map.yaml; fi
+    # What was installed with the overlay is upgraded with it.
+    if [[ $WHEEL && ! $FPGA && -e $UNITS/$UNIT.service.d/fpga.conf ]]; then say "with --with-fpga, as before"; FPGA=1; fi
 }
 
 # --- what can be known before anything is touched ---------------------------------------------------------------------
