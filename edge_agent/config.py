@@ -56,7 +56,7 @@ class SourceConfig(Model):
 
 
 class OutputConfig(Model):
-    """dir: online.tum, odom.tum, imu.tum and edge.json. progress: JSON lines on stdout."""
+    """dir: online.tum, odom.tum, imu.tum, metrics.prom and edge.json. progress: JSON lines on stdout."""
 
     dir: Path | None = None
     progress: bool = False

@@ -11,11 +11,13 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
+from edge_agent.about import write_about
 from edge_agent.check import LiveCheck
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
 from edge_agent.going_on import StartAfter, UnseenMotion
 from edge_agent.imu import make_imu_node
+from edge_agent.kernel_cache import counted
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.odometry.outage import Outages
@@ -34,6 +36,7 @@ from edge_agent.wire import EDGE_ONLY, WIRE_VERSION, state_name
 from splitslam import __version__
 from splitslam.codec import CODEC_VERSION
 from splitslam.errors import InputError
+from splitslam.logs import fields, say_always
 from splitslam.notify import Notifier
 from splitslam.robot import Robot, load_robot, robot_for_service
 from splitslam.wire import session_pb2 as pb
@@ -102,7 +105,8 @@ class _Run:
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
         notifier.status("compiling kernels, or reading them from the cache")
-        warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
+        with counted() as kernels:
+            warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
@@ -110,7 +114,9 @@ class _Run:
         hello = self._hello(robot)
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
+        write_about(config, robot, kernels, metrics.port)
         store = self._store
+        say_always(robot_id=robot.robot.id, run_id=store.run.value)
         self._uplink = Uplink(
             config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
         )
@@ -197,7 +203,7 @@ class _Run:
             self._tally.end(self._reader.cpu_s)
         self._uplink.close()
         if self._outputs is not None:
-            self._outputs.publish(self._report(finished is None))
+            self._outputs.publish(self._report(finished is None), self._metrics.page())
         self._progress.end(self._scans_read, self._tally.mapped)
 
     def _watch_over(self, loop: AgentLoop) -> None:
@@ -251,7 +257,9 @@ class _Run:
         if after.seq:
             self._pipeline.seq, self._tally.first_seq = after.seq, after.seq + 1
             self._pipeline.imu = UnseenMotion(self._imu, after.stamp_ns)
-            _log.warning("run %s continued after scan %d", self._store.run.value, after.seq)
+            _log.warning(
+                "continued after scan %d", after.seq, extra=fields(run_id=self._store.run.value, seq=after.seq)
+            )
 
     def _nothing_usable(self) -> None:
         if self._pipeline.seq == 0:

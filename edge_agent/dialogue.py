@@ -5,8 +5,10 @@ No thread, no socket, no clock of its own: uplink.py calls it under its lock. do
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from edge_agent.config import UplinkConfig
 from edge_agent.ending import Ending
@@ -15,9 +17,12 @@ from edge_agent.outbox import Outbox
 from edge_agent.pacer import Pacer
 from edge_agent.recoding import Recoding
 from edge_agent.spool import Spool
-from edge_agent.wire import Answer, answer
+from edge_agent.wire import Answer, answer, state_name
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
+_log = logging.getLogger(__name__)
+_SLOW_S = 1.0  # of a round trip
 _REPORT_EVERY_S = 1.0
 BACKLOG_FRAMES = 10
 ENVELOPE_BYTES = 50  # HTTP/2 and gRPC around a message
@@ -89,6 +94,7 @@ class Dialogue:
     def _count_lost(self) -> None:
         for lost in self.outbox.lost:
             self._metrics.drop(lost.reason)
+            _log.warning("frame lost", extra=fields(run_id=self.hello.run_id, seq=lost.seq, reason=lost.reason))
         self.outbox.lost.clear()
 
     def set_dropped(self, dropped: Mapping[str, int]) -> None:
@@ -119,6 +125,9 @@ class Dialogue:
         if frame is not None:
             if (arrived_s := self.outbox.arrived_s(frame.seq)) is not None:
                 self._metrics.scan_age.observe(now_s - arrived_s)
+            if _log.isEnabledFor(logging.DEBUG):
+                said = {"bytes": len(frame.payload), "dense": frame.dense, "follows_seq": frame.follows_seq}
+                _log.debug("frame sent", extra=fields(run_id=self.hello.run_id, seq=frame.seq, **said))
             if stream.waiting_since_s is None:
                 stream.waiting_since_s = now_s
             return pb.StreamRequest(frame=self._recoding.readable(frame))
@@ -214,6 +223,19 @@ class Dialogue:
             return
         self.stream.answered = True
         self.answers.append(answer(message, now_s - held.queued_s))
+        self._note(self.answers[-1])
+
+    def _note(self, answer: Answer) -> None:
+        """Each answer at debug; a rejection, or one that was long in coming, for whoever looks after the robot."""
+        reply, slow = answer.reply, answer.round_trip_s > _SLOW_S
+        level = logging.WARNING if reply.rejected else logging.INFO if slow else logging.DEBUG
+        if not _log.isEnabledFor(level):
+            return
+        event = "frame rejected" if reply.rejected else "frame slow" if slow else "frame answered"
+        said: dict[str, Any] = {"round_trip_ms": round(answer.round_trip_s * 1e3, 1), "state": state_name(reply.state)}
+        if reply.rejected:
+            said["reason"] = reply.rejected
+        _log.log(level, event, extra=fields(run_id=self.hello.run_id, seq=reply.seq, **said))
 
     def _on_advice(self, advice: pb.Advice) -> None:
         """max_kbps 0: no limit of the service's; an Advice that only wants a dense frame leaves the limit alone."""

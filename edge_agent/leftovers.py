@@ -11,6 +11,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.spool import RunFolder, SpoolFolder
 from edge_agent.uplink import SessionOverError, Uplink
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.settings import ClientTls
 
 _SHARE = 0.3  # of a limited uplink; live frames keep to their backlog share meanwhile
@@ -62,9 +63,9 @@ class Leftovers:
             try:
                 self._send(run)
             except OSError as error:
-                _log.error("run %s: %s", run.run_id, error)
+                _log.error("frames of before cannot be read", extra=fields(run_id=run.run_id, detail=str(error)))
             except Exception:  # a defect here must not cost the live run anything
-                _log.exception("run %s not sent", run.run_id)
+                _log.exception("frames of before not sent", extra=fields(run_id=run.run_id))
 
     def _send(self, run: RunFolder) -> None:
         hello = run.hello
@@ -80,7 +81,7 @@ class Leftovers:
                 spool.close()
                 return
             self._uplink = uplink
-        _log.warning("run %s: %d frames of before are sent", run.run_id, frames)
+        _log.warning("frames of before are sent", extra=fields(run_id=run.run_id, frames=frames))
         try:
             uplink.start()
             done = self._finish(run, uplink, metrics, 0 if newest is None else newest.seq)
@@ -88,11 +89,13 @@ class Leftovers:
             done = run.said_bye
             if not done:
                 self.errors["refused"] += frames
-                _log.error("run %s: %s; %d frames are set aside in %s", run.run_id, error, frames, run.set_aside())
+                said = fields(run_id=run.run_id, frames=frames, folder=str(run.set_aside()), detail=str(error))
+                _log.error("frames refused, set aside", extra=said)
         except InputError as error:
             done = False
             self.errors["refused"] += frames
-            _log.error("run %s: %s; its %d frames are kept for the next start", run.run_id, error, frames)
+            said = fields(run_id=run.run_id, frames=frames, detail=str(error))
+            _log.error("frames refused, kept for the next start", extra=said)
         finally:
             uplink.close()
             spool.close()

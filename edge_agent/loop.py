@@ -6,6 +6,7 @@ By the clock: answers are applied as they come and nobody waits.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -24,9 +25,11 @@ from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, OdometryReply, OdomPoses
 from edge_agent.wire import Answer
 from splitslam.errors import DataError
+from splitslam.logs import fields
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 from splitslam.wire import session_pb2 as pb
 
+_log = logging.getLogger(__name__)
 UNANCHORED = 4
 Item = ImuSamples | WheelSamples | ScanPacket
 _SILENT_NS = 1_500_000_000  # without an answered scan, as when the LiDAR is unplugged, the pose is the edge's own
@@ -211,6 +214,8 @@ class AgentLoop:
             frame = parts.pipeline.process(packet)
         except DataError as error:
             parts.metrics.drop(error.reason)
+            said = fields(stamp_ns=packet.scan.stamp_ns, reason=error.reason, detail=error.detail)
+            _log.log(logging.DEBUG if error.reason == "budget" else logging.WARNING, "scan dropped", extra=said)
             return
         parts.metrics.stages(frame.stage_cpu_ms, frame.stage_wall_ms)
         parts.metrics.frame(frame.dense, len(frame.payload), frame.corners + frame.surfs)

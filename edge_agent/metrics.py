@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from prometheus_client import CollectorRegistry, ProcessCollector
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 
 from edge_agent import metric_list as m
 from splitslam.metrics import Family, Metric, Page, collect, show_build
@@ -203,6 +203,15 @@ class EdgeMetrics:
         self._collect(m.TCP_RECEIVED, received)
 
     # --- /metrics ---------------------------------------------------------------------------------------------
+
+    @property
+    def port(self) -> int | None:
+        """Of /metrics, when it is open."""
+        return None if self._page is None else self._page.port
+
+    def page(self) -> str:
+        """What /metrics shows now."""
+        return generate_latest(self.registry).decode()
 
     def serve(self, host: str, port: int) -> int:
         """Opens /metrics and returns its port (0: any free one). Raises InputError when it cannot."""

@@ -1,4 +1,4 @@
-"""The agent's files: online.tum, online_covariance.csv, odom.tum, imu.tum, edge.json: complete or not at all."""
+"""The agent's files: online.tum, online_covariance.csv, odom.tum, imu.tum, metrics.prom, edge.json: all, or none."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tum_line(stamp_ns: int, position_m: Array, quat_xyzw: Array) -> str:
 class Outputs:
     """Streams to temporary names in `folder`; `publish` renames them, `discard` leaves nothing behind."""
 
-    _NAMES = ("online.tum", "online_covariance.csv", "odom.tum", "imu.tum")
+    _NAMES = ("online.tum", "online_covariance.csv", "odom.tum", "imu.tum", "metrics.prom")
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -41,7 +41,7 @@ class Outputs:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name in self._NAMES:
-                self._files[name] = _temporary(folder, name).open("w", encoding="ascii")
+                self._files[name] = _temporary(folder, name).open("w", encoding="utf-8")
             self._files["online_covariance.csv"].write(covariance_header())
         except OSError as error:
             self.discard()
@@ -68,9 +68,13 @@ class Outputs:
         rows = zip(poses.stamps_ns.tolist(), positions.tolist(), quats.tolist(), strict=True)
         self._files["imu.tum"].writelines(tum_line(*row) for row in rows)
 
-    def publish(self, report: dict[str, Any]) -> None:
-        """All files at once under their own names, edge.json last: its presence says that the rest is there."""
-        for name, file in self._files.items():
+    def publish(self, report: dict[str, Any], metrics: str = "") -> None:
+        """All files at once under their own names, edge.json last: its presence says that the rest is there.
+
+        metrics: what /metrics has shown last.
+        """
+        self._files["metrics.prom"].write(metrics)
+        for file in self._files.values():
             file.close()
         temporary = _temporary(self._folder, "edge.json")
         temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")

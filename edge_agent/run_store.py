@@ -11,6 +11,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.run_id import RunState
 from edge_agent.spool import RunFolder, Spool, SpoolFolder
 from edge_agent.spool.record import Head
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
@@ -76,7 +77,8 @@ class RunStore:
         if self._own is not None and self.spool is not None:
             frames = len(self.spool)
             self.spool.errors["refused"] += frames
-            _log.error("run %s: %d frames are set aside in %s", self.run.value, frames, self._own.set_aside())
+            folder = str(self._own.set_aside())
+            _log.error("frames refused, set aside", extra=fields(run_id=self.run.value, frames=frames, folder=folder))
 
     def close(self) -> None:
         """Everything stays for the next start."""

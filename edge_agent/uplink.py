@@ -21,6 +21,7 @@ from edge_agent.stream import Stream
 from edge_agent.tcp_meter import TcpBytes, TcpMeter
 from edge_agent.wire import Answer
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
 from splitslam.wire import session_pb2 as pb
@@ -231,8 +232,11 @@ class Uplink:
                 if limit_s is not None and now_s - down_since_s >= limit_s:
                     self._fail(f"expected a map service there, none answered within {limit_s:g} s ({state.ended})")
                     return
-                self._metrics.reconnects.inc(state.ended.cause if state.ended else "unknown")
-                _log.info("stream to %s broke: %s", self._server, state.ended)
+                cause = state.ended.cause if state.ended else "unknown"
+                self._metrics.reconnects.inc(cause)
+                run_id = self._dialogue.hello.run_id
+                said = fields(run_id=run_id, server=self._server, cause=cause, detail=str(state.ended))
+                _log.info("stream broke", extra=said)
                 if state.other_replica or not state.welcomed:
                     self._dialogue.hello.attempt += 1
                 delay_s = max(backoff.next_s(), jittered(state.retry_after_s))

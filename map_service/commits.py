@@ -13,6 +13,7 @@ from map_service.database import StoreError
 from map_service.rows import SessionCommit
 from map_service.store import FencedError, Store
 from map_service.tally import Tally
+from splitslam.logs import fields
 
 FLUSH_S = 2.0
 _RETRY_FIRST_S = 0.05
@@ -85,13 +86,13 @@ class Committer:
                 if time.monotonic() + wait_s > self._until_s:
                     raise
                 if not self._failing:
-                    _log.warning("the store is away", extra={"fields": {"detail": str(error)}})
+                    _log.warning("the store is away", extra=fields(detail=str(error)))
                 self._failing = True
                 self._tally.count("commits", "retried")
             time.sleep(wait_s)
             wait_s = min(2 * wait_s, _RETRY_CAP_S)
         if self._failing:
-            _log.info("the store is back", extra={"fields": {"after_s": round(time.monotonic() - start_s, 3)}})
+            _log.info("the store is back", extra=fields(after_s=round(time.monotonic() - start_s, 3)))
 
 
 class CommitLog:

@@ -133,6 +133,11 @@ class ServiceConfig(Model):
         return self
 
     @property
+    def name(self) -> str:
+        """This replica, in log lines."""
+        return self.replica.address or self.listen
+
+    @property
     def worker_count(self) -> int:
         return self.workers or max(1, (os.cpu_count() or 2) - 1)
 

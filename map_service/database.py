@@ -23,6 +23,7 @@ from sqlalchemy.exc import (
 
 from map_service.migrations import make_or_check
 from splitslam.errors import InputError
+from splitslam.logs import fields
 
 _EXPECTED = "expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
 _OURS = (IntegrityError, DataError, ProgrammingError, NotSupportedError)  # trying again cannot help
@@ -71,7 +72,7 @@ def open_engine(url: str, patience_s: float = 0.0) -> Engine:
                 engine.dispose()
                 raise InputError(f"store: {shown(url)}: cannot be opened: {one_line(error.orig)}") from error
             if not waited:
-                _log.warning("waiting for the store", extra={"fields": {"detail": one_line(error.orig)}})
+                _log.warning("waiting for the store", extra=fields(detail=one_line(error.orig)))
                 waited = True
         time.sleep(_TRY_EVERY_S)
 

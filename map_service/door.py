@@ -10,6 +10,7 @@ from map_service.callers import Callers
 from map_service.metrics import ServiceMetrics
 from map_service.revoked import RevokedList
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.certificates import CertificateFiles, Certificates
 from splitslam.security.loopback import is_loopback
 from splitslam.security.settings import ServerTls
@@ -49,7 +50,7 @@ class Door:
                 _log.warning(
                     "INSECURE: robots and operators are believed whatever they say, and everybody on the way can read"
                     " it (tls.insecure)",
-                    extra={"fields": {"listen": listen}},
+                    extra=fields(listen=listen),
                 )
             return server.add_insecure_port(listen)
         self._given = self._files.current()

@@ -15,6 +15,7 @@ from map_service.config import RetentionConfig, ServiceConfig
 from map_service.database import StoreError
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store
+from splitslam.logs import fields
 from splitslam.metrics import OTHER
 
 DAY_S = 86_400.0
@@ -46,9 +47,8 @@ class Retention:
             return []
         removed = []
         while (one := self._remove_one(now_s)) is not None:
-            _log.info("session deleted by retention", extra={"fields": {
-                "session": one.session_id, "site": one.site_id, "frames": one.frames, "bytes": one.bytes,
-            }})  # fmt: skip
+            said = fields(session_id=one.session_id, site_id=one.site_id, frames=one.frames, bytes=one.bytes)
+            _log.info("session deleted by retention", extra=said)
             removed.append(one)
         return removed
 
@@ -107,7 +107,7 @@ class Housekeeper:
                 self._metrics.retention_bytes.inc(by=removed.bytes)
             self._measure()
         except StoreError as error:
-            _log.warning("housekeeping failed", extra={"fields": {"detail": str(error)}})
+            _log.warning("housekeeping failed", extra=fields(detail=str(error)))
 
     def _measure(self) -> None:
         """By site only for those that the configuration names: labels are bounded."""

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 from map_service.loops import LoopJob, LoopResult, refused, verify
 from map_service.processes import cpu_ns, follow_parent
+from splitslam.logs import fields
 
 _log = logging.getLogger(__name__)
 
@@ -65,5 +66,5 @@ class LoopPool:
 def _result(job: LoopJob, done: Future[LoopResult]) -> LoopResult:
     if not done.cancelled() and done.exception() is None:
         return done.result()
-    _log.error("loop verification failed", extra={"fields": {"older": job.older, "newer": job.newer}})
+    _log.error("loop verification failed", extra=fields(older=job.older, newer=job.newer))
     return refused(job, "failed")

@@ -20,6 +20,7 @@ from sqlalchemy.exc import IntegrityError, ProgrammingError
 from map_service.config import ReplicaConfig
 from map_service.database import StoreError
 from map_service.store import Store
+from splitslam.logs import fields
 
 _FORGET_BEATS = 60  # a row that has not moved for so long is deleted; its replica, should it live, adds it again
 
@@ -113,7 +114,7 @@ class Membership:
                 failing = False
             except StoreError as error:
                 if not failing:
-                    _log.warning("membership: %s", error)
+                    _log.warning("membership failed", extra=fields(detail=str(error)))
                 failing = True
             self._stop.wait(self._config.beat_s)
 
@@ -164,7 +165,7 @@ class Membership:
             with self._store.writing() as connection:
                 connection.execute(delete(replicas).where(replicas.c.id == self._id))
         except StoreError as error:
-            _log.warning("membership: not left: %s", error)
+            _log.warning("membership not left", extra=fields(detail=str(error)))
 
 
 def _make_table(store: Store) -> None:

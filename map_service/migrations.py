@@ -15,6 +15,7 @@ from sqlalchemy.schema import CreateColumn
 
 from map_service import schema
 from splitslam.errors import InputError
+from splitslam.logs import fields
 
 _KEY = "schema_version"
 _SINCE = "since_"
@@ -66,7 +67,7 @@ def make_or_check(engine: Engine) -> None:
     with engine.connect() as connection:
         found = version(connection)
     if found == VERSION + 1:
-        _log.info("the store is one version ahead", extra={"fields": {"store": found, "service": VERSION}})
+        _log.info("the store is one version ahead", extra=fields(store=found, service=VERSION))
     elif found is not None and found > VERSION:
         raise InputError(f"store: schema version {found}: this service works with {FIRST} to {VERSION + 1}")
     elif found != VERSION:
@@ -102,7 +103,7 @@ def migrate(engine: Engine, to: int = VERSION) -> Migrated:
                 connection.execute(delete(schema.meta).where(schema.meta.c.key == f"{_SINCE}{step.version}"))
         connection.execute(update(schema.meta).where(schema.meta.c.key == _KEY).values(value=str(to)))
     if found not in (None, to):
-        _log.info("store migrated", extra={"fields": {"before": found, "after": to}})
+        _log.info("store migrated", extra=fields(before=found, after=to))
     return Migrated(found or 0, to)
 
 

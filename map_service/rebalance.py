@@ -11,6 +11,7 @@ from map_service.membership import Membership, Peers, as_hint
 from map_service.metrics import ServiceMetrics
 from map_service.streams import RobotStream
 from map_service.workers import WorkerPool
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
@@ -66,7 +67,6 @@ class Rebalancer:
 
     async def _give(self, stream: RobotStream, peers: Peers) -> None:
         (address,) = peers.rooms(1)
-        fields = {"session": stream.session_id, "to": address}
-        _log.info("rebalance", extra={"fields": fields})
+        _log.info("rebalance", extra=fields(session_id=stream.session_id, to=address))
         self._metrics.drained.inc("rebalance")
         await self._pool.hand_over(stream, pb.Drain(reason=pb.DRAIN_REASON_REBALANCE, replica=as_hint(address)))

@@ -43,7 +43,7 @@ def serve(config: ServiceConfig, engine: str = DEFAULT_ENGINE) -> None:
 
     Prints one JSON line on stdout when robots can connect. Raises InputError for a configuration that cannot work.
     """
-    configure_logs(config.log.format, config.log.level)
+    configure_logs(config.log.format, config.log.level, replica=config.name)
     asyncio.run(_serve(config, engine))
 
 

@@ -55,6 +55,7 @@ class Session:
         self.opened_s = self.touched_s = time.monotonic()
         self.state = State.INITIALISING
         self.accounts = accounts
+        self.leaving = False  # the robot goes to another replica once all is durable
         self.finishing = False  # Bye was said, its commit is under way
         self.held: deque[pb.StreamRequest] = deque()  # what waits until the store has taken more of what is applied
         self._engine, self._store, self._tally = engine, store, tally

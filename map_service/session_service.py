@@ -20,6 +20,7 @@ from map_service.metrics import ServiceMetrics
 from map_service.store import Store, StoreError
 from map_service.workers import WorkerPool
 from splitslam.errors import DataError
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 
@@ -91,7 +92,7 @@ class SessionFront(rpc.SessionServiceServicer):
             yield self._callers.identify(context)
         except DeniedError as denied:
             self._metrics.denied.inc(denied.reason)
-            _log.warning("refused", extra={"fields": {"reason": denied.reason, "detail": denied.detail}})
+            _log.warning("refused", extra=fields(reason=denied.reason, detail=denied.detail))
             await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{denied.reason}: {denied.detail}")
 
     async def _readable(self, session_id: str, context: grpc.aio.ServicerContext) -> Row:

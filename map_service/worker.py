@@ -21,7 +21,7 @@ from map_service.engine import load_engine
 from map_service.host import SessionHost
 from map_service.processes import follow_parent, resident_bytes
 from map_service.store import Store
-from splitslam.logs import configure_logs
+from splitslam.logs import configure_logs, fields
 
 BEAT_S = 0.5
 _IDLE_S, _COMMITTING_S = 0.25, 0.02
@@ -42,7 +42,7 @@ class WorkerSpec:
 def worker_main(spec: WorkerSpec, sock: socket.socket) -> None:
     """Entry point of the process."""
     follow_parent(spec.front_pid)
-    configure_logs(spec.config.log.format, spec.config.log.level)
+    configure_logs(spec.config.log.format, spec.config.log.level, replica=spec.config.name, worker=spec.index)
     code = 1
     try:
         engine = load_engine(spec.engine, spec.config.pipeline, spec.config.loop_workers)
@@ -54,7 +54,8 @@ def worker_main(spec: WorkerSpec, sock: socket.socket) -> None:
         engine.close()
         code = 0
     except Exception:
-        _log.exception("worker failed", extra={"fields": {"worker": spec.index}})
+        _log.exception("worker failed", extra=fields(worker=spec.index))
+    logging.shutdown()
     os._exit(code)  # without the executors' exit handlers: they would wait for a loop job
 
 
@@ -81,11 +82,11 @@ class Worker:
             self._job_since_s = None
         self._host.drain()
         self._end.send(self._beat_now())
-        self._end.send(Drained(self._host.durable()))
+        self._end.send(Drained(self._host.sessions.durable()))
 
     def _next(self) -> Any | None:
         try:
-            return self._queue.get(timeout=_COMMITTING_S if self._host.committing else _IDLE_S)
+            return self._queue.get(timeout=_COMMITTING_S if self._host.sessions.committing else _IDLE_S)
         except queue.Empty:
             return None
 
@@ -94,6 +95,7 @@ class Worker:
             if isinstance(message, Close):
                 self._host.closed.add(message.stream)
             self._queue.put(message)
+        logging.shutdown()
         os._exit(1)  # the front is gone
 
     def _beat(self) -> None:
@@ -111,12 +113,12 @@ class Worker:
             counts=counts,
             observations=observations,
             busy_s=0.0 if since_s is None else time.monotonic() - since_s,
-            durable=host.durable(),
-            sessions=host.states(),
-            released=host.take_released(),
-            robots=host.robots() if host.config.metrics.per_robot else [],
+            durable=host.sessions.durable(),
+            sessions=host.sessions.states(),
+            released=host.sessions.take_released(),
+            robots=host.sessions.robots() if host.config.metrics.per_robot else [],
             queue_messages=self._queue.qsize(),
-            undurable_frames=host.undurable_frames,
+            undurable_frames=host.sessions.undurable_frames,
             cpu_s=host.cpu_ns() * 1e-9,
             resident_bytes=resident_bytes(),
         )

@@ -33,6 +33,7 @@ from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
 from map_service.worker import WorkerSpec, worker_main
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _RESTART_CAP_S = 5.0
@@ -105,7 +106,7 @@ class WorkerProcess:
                 self.beat_s = time.monotonic()
                 self.ready.set()
                 self._metrics.workers_ready.of().inc()
-                _log.info("worker ready", extra={"fields": {"worker": self.index, "pid": message.pid}})
+                _log.info("worker ready", extra=fields(worker=self.index, pid=message.pid))
             case Handed(number, durable_seq):
                 if stream := self.streams.get(number):
                     stream.handed(durable_seq)
@@ -150,7 +151,7 @@ class WorkerProcess:
         return RobotSeen(robot) if stream is None else RobotSeen(robot, stream.unanswered, stream.answered_s)
 
     def kill(self, why: str) -> None:
-        _log.error("worker killed", extra={"fields": {"worker": self.index, "why": why}})
+        _log.error("worker killed", extra=fields(worker=self.index, detail=why))
         self.process.kill()
 
 
@@ -190,7 +191,7 @@ class WorkerPool:
                 return
             self._metrics.restarts.inc()
             self._metrics.forget_worker(index)
-            _log.error("worker died", extra={"fields": {"worker": index, "exit_code": worker.process.exitcode}})
+            _log.error("worker died", extra=fields(worker=index, exit_code=worker.process.exitcode))
             failures = 0 if time.monotonic() - worker.started_s > 10 else failures + 1
             await asyncio.sleep(min(0.1 * 2**failures, _RESTART_CAP_S) if failures else 0)
             self._workers[index] = WorkerProcess(index, self._config, self._engine, self._metrics)

@@ -125,6 +125,38 @@ def check(
         raise typer.Exit(1)
 
 
+@app.command("diagnose")
+def diagnose(
+    edge: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DIR|URL", help="State directory of an agent here, or http://HOST:PORT of one elsewhere."),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The agent's configuration; default: what it was started with.")
+    ] = None,
+    map_config: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="Configuration of a map service of this machine.")
+    ] = None,
+    log: Annotated[list[Path] | None, typer.Option(metavar="FILE", help="A log besides systemd's journal.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The bundle; default: by host and time.")] = None,
+    raw: Annotated[bool, typer.Option("--raw/--no-raw", help="With the last seconds of raw scans.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print summary.json.")] = False,
+) -> None:
+    """Write one bundle for whoever is to help: self-checks, raw scans, logs, configuration without secrets."""
+    import json
+
+    from splitslam.run.options import check_installed
+
+    check_installed(("server",) if map_config and not edge else ("edge",))
+    from splitslam.diagnose.command import DiagnoseOptions
+    from splitslam.diagnose.command import diagnose as look
+    from splitslam.diagnose.show import show
+
+    asked = DiagnoseOptions(tuple(edge or ()), config, map_config, tuple(log or ()), out, raw)
+    diagnosis = look(asked)
+    print(json.dumps(diagnosis.as_dict())) if as_json else show(diagnosis)
+
+
 @bench.command("partition")
 def bench_partition(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Bags, robot file beside each.")],

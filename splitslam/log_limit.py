@@ -25,7 +25,7 @@ class LogLimit(logging.Handler):
     """Passes lines on to another handler: of one event at most `burst` in each `window_s`.
 
     The others are counted. When the window is over the last of them comes with the field `repeated`: how many lines it
-    stands for. Debug lines all pass: who asks for them wants all. `close`, as at exit, says what is still counted.
+    stands for. `close`, as at exit, says what is still counted.
     """
 
     def __init__(
@@ -41,9 +41,6 @@ class LogLimit(logging.Handler):
         self._timer: threading.Timer | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.levelno <= logging.DEBUG:
-            self._target.handle(record)
-            return
         now_s = self._clock_s()
         self.tell(now_s)
         kind = (record.name, record.levelno, str(record.msg))

@@ -16,6 +16,13 @@ from typing import Any
 from splitslam.log_limit import LogLimit
 from splitslam.trace import trace_id
 
+_always: dict[str, Any] = {}
+
+
+def say_always(**values: Any) -> None:
+    """More fields of every line of this process, for machines only, once they are known."""
+    _always.update(values)
+
 
 def fields(**values: Any) -> dict[str, dict[str, Any]]:
     """For `extra=` of a logging call. session_id or run_id, and seq: the line then has the frame's trace id as well."""
@@ -37,17 +44,13 @@ def complete(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class _JsonFormatter(logging.Formatter):
-    def __init__(self, always: Mapping[str, Any]) -> None:
-        super().__init__()
-        self._always = always
-
     def format(self, record: logging.LogRecord) -> str:
         line = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
             "event": record.getMessage(),
-            **complete({**self._always, **getattr(record, "fields", {})}),
+            **complete({**_always, **getattr(record, "fields", {})}),
         }
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
@@ -78,8 +81,11 @@ def configure_logs(style: str, level: str, **always: Any) -> None:
 
     always: fields of every line of this process, for machines only, such as replica and worker.
     """
+    _always.clear()
+    say_always(**always)
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_JsonFormatter(always) if style == "json" else _ConsoleFormatter())
-    logging.basicConfig(level=level.upper(), handlers=[LogLimit(handler)], force=True)
-    for noisy in ("numba", "asyncio", "sqlalchemy"):  # their own debug lines are not ours to show
+    handler.setFormatter(_JsonFormatter() if style == "json" else _ConsoleFormatter())
+    all_of_them = level == "debug"  # who asks for that wants every line
+    logging.basicConfig(level=level.upper(), handlers=[handler if all_of_them else LogLimit(handler)], force=True)
+    for noisy in ("numba", "asyncio", "sqlalchemy", "grpc"):  # their own debug lines are not ours to show
         logging.getLogger(noisy).setLevel(max(logging.WARNING, logging.getLevelName(level.upper())))

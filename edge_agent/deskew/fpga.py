@@ -14,6 +14,7 @@ from edge_agent.features.projection import Image
 from edge_agent.settings import PipelineSettings
 from splitslam.errors import InputError
 from splitslam.features import Knots
+from splitslam.logs import fields
 from splitslam.scan import Scan
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class AcceleratedImageNode:
             seen = self._accelerator.run(scan, knots)
         except AcceleratorError as error:
             self.counts[error.reason] += 1
-            _log.warning("deskew: %s; this scan on the cpu", error)
+            _log.warning("scan deskewed on the cpu", extra=fields(reason=error.reason, detail=str(error)))
             self._marks = None
             return self._spare.image(scan, knots)
         self.counts["unusable_points"] += seen.invalid

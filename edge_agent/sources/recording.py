@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,9 +19,11 @@ from edge_agent.sources.pointcloud2 import read_table
 from edge_agent.sources.raw import Gate, RawScan
 from edge_agent.sources.velodyne import VelodyneDecoder
 from splitslam.errors import DataError, InputError
+from splitslam.logs import fields
 from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
+_log = logging.getLogger(__name__)
 Event = Scan | ImuSamples | WheelSamples | GnssFix
 _FIRST_SCANS = 5
 _TAIL_NS = 500_000_000  # after the last scan wanted: how long to read on for IMU samples that cover it
@@ -121,6 +124,9 @@ class Recording:
                     event = convert[topic](message)
                 except DataError as error:
                     self.dropped[error.reason] += 1
+                    level = logging.DEBUG if error.reason == "gnss_no_fix" else logging.WARNING
+                    said = fields(topic=topic, reason=error.reason, detail=error.detail)
+                    _log.log(level, "message left out", extra=said)
                     continue
                 yield arrival_ns, event
 

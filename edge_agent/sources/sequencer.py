@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from edge_agent.sources.stream_clock import JUMP_NS, StreamClock
 from edge_agent.sources.time_map import TimeMap
+from splitslam.logs import fields
 from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
@@ -78,7 +79,7 @@ class Sequencer:
         out: list[Item] = []
         if len(self._waiting) > _MAX_WAITING and not self._silent:
             self._silent = True
-            _log.warning("imu: no samples for %d scans; going on without it", _MAX_WAITING)
+            _log.warning("imu silent, going on without it", extra=fields(scans=_MAX_WAITING))
         while self._waiting and (self._silent or self._covers(self._waiting[0][0])):
             out.append(self._release())
         return out

@@ -12,6 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from splitslam.logs import fields
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
 ALIKE_NS = 300_000_000  # steps that differ by less are one: stamps and arrivals jitter
@@ -45,7 +46,8 @@ class TimeMap:
         self.steps[stream] += 1
         if self.known(change_ns, arrival_ns) is None:
             self._recent.append(_Step(change_ns, arrival_ns))
-        _log.warning("%s: the clock has stepped by %.3f s; stamps go on as before", stream, -change_ns * 1e-9)
+        said = fields(stream=stream, step_s=round(-change_ns * 1e-9, 3))
+        _log.warning("clock stepped, stamps go on as before", extra=said)
 
 
 def shifted(item: T, by_ns: int) -> T:

@@ -12,6 +12,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.identity import Identity
 
 _log = logging.getLogger(__name__)
@@ -120,7 +121,7 @@ class CertificateFiles:
             self.failures += 1
             _log.warning("certificates: %s; those of before stay in use", error)
         else:
-            _log.info("certificates: read anew", extra={"fields": {"expires_s": self._current.expires_s}})
+            _log.info("certificates: read anew", extra=fields(expires_s=self._current.expires_s))
 
     def _signature(self) -> tuple[tuple[int, int, int] | None, ...]:
         return tuple(_signature(path) for path in self._paths if path is not None)

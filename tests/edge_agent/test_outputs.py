@@ -31,10 +31,10 @@ def test_nothing_is_there_before_publish_and_everything_after(tmp_path: Path):
     assert [p for p in (tmp_path / "a" / "out").iterdir() if not p.name.startswith(".")] == []
     outputs.publish({"scans": {"read": 1}})
     names = sorted(p.name for p in (tmp_path / "a" / "out").iterdir())
-    assert names == ["edge.json", "imu.tum", "odom.tum", "online.tum", "online_covariance.csv"]
+    assert names == ["edge.json", "imu.tum", "metrics.prom", "odom.tum", "online.tum", "online_covariance.csv"]
     assert json.loads((tmp_path / "a" / "out" / "edge.json").read_text()) == {"scans": {"read": 1}}
     outputs.discard()
-    assert len(list((tmp_path / "a" / "out").iterdir())) == 5
+    assert len(list((tmp_path / "a" / "out").iterdir())) == 6
 
 
 def test_discard_leaves_no_file_and_no_folder_that_was_not_there(tmp_path: Path):

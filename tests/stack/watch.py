@@ -36,7 +36,7 @@ def owner(stack: Stack, robot: LightRobot) -> str:
     opened = {}
     for replica in stack.replicas:
         for line in events(replica, "session open"):
-            if line["session"] == robot.session_id:
+            if line["session_id"] == robot.session_id:
                 opened[line["epoch"]] = replica.name
     return opened[max(opened)]
 
