@@ -69,8 +69,8 @@ fpga-report: ## the overlay's figures, measured afresh, one JSON object: clocks,
 	@$(MAKE) --no-print-directory fpga-setup >&2
 	@.venv-fpga/bin/python -m fpga_overlay.report
 
-fuzz: setup ## a million mutated payloads into the codec's decoder (COUNT=1000000)
-	@$(BIN)/python -m tests.codec.mutations --count $(or $(COUNT),1000000)
+fuzz: setup ## every decoder, the stream's state machine and a real service fed with what nobody should send (SECONDS=600, SEED=1)
+	@$(BIN)/python -m tests.fuzz --seconds $(or $(SECONDS),600) --seed $(or $(SEED),1)
 
 chaos: setup ## every plug pulled, then a soak of 30 minutes (SOAK_MINUTES=30, SEED=1, PREVIOUS=git ref to upgrade from)
 	@$(BIN)/python -m tests.chaos --soak-minutes $(or $(SOAK_MINUTES),30) --seed $(or $(SEED),1) $(if $(PREVIOUS),--previous $(PREVIOUS))

@@ -11,11 +11,13 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
+from edge_agent.about import write_about
 from edge_agent.check import LiveCheck
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
 from edge_agent.going_on import StartAfter, UnseenMotion
 from edge_agent.imu import make_imu_node
+from edge_agent.kernel_cache import counted
 from edge_agent.loop import AgentLoop, Parts
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.odometry.outage import Outages
@@ -103,7 +105,8 @@ class _Run:
         cleanup.callback(node.close)
         metrics.deskew_from(node.name, node.counts)
         notifier.status("compiling kernels, or reading them from the cache")
-        warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
+        with counted() as kernels:
+            warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
         clock_ns = time.monotonic_ns if source.realtime else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
@@ -111,6 +114,7 @@ class _Run:
         hello = self._hello(robot)
         self._store = RunStore(config, hello, metrics)
         cleanup.callback(self._store.close)
+        write_about(config, robot, kernels, metrics.port)
         store = self._store
         say_always(robot_id=robot.robot.id, run_id=store.run.value)
         self._uplink = Uplink(

@@ -204,6 +204,11 @@ class EdgeMetrics:
 
     # --- /metrics ---------------------------------------------------------------------------------------------
 
+    @property
+    def port(self) -> int | None:
+        """Of /metrics, when it is open."""
+        return None if self._page is None else self._page.port
+
     def page(self) -> str:
         """What /metrics shows now."""
         return generate_latest(self.registry).decode()

@@ -47,6 +47,9 @@ def decode_cloud(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8], N
     if magic != _MAGIC or version != _VERSION or n > _MAX_POINTS:
         raise DataError("corrupt", "not a keyframe cloud of version 1")
     try:
+        # what the frame says of its size is what the decompressor would allocate
+        if zstandard.frame_content_size(data[_HEADER.size :]) != n * _POINT_BYTES:
+            raise DataError("corrupt", "keyframe cloud has another length than its header says")
         body = zstandard.ZstdDecompressor().decompress(data[_HEADER.size :], max_output_size=n * _POINT_BYTES)
     except zstandard.ZstdError as error:
         raise DataError("corrupt", f"keyframe cloud: {error}") from error

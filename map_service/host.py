@@ -22,10 +22,12 @@ from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.tally import Tally
+from map_service.types import StateVersionError
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 STORE_RETRY_MS = 500
+VERSION_RETRY_MS = 500
 _SLOW_S = 1.0
 
 _log = logging.getLogger(__name__)
@@ -80,6 +82,10 @@ class SessionHost:
         except StoreError as error:
             detail = f"store: {error}"[:200]
             refusal = pb.Refused(reason=pb.REFUSED_REASON_STORE, detail=detail, retry_after_ms=STORE_RETRY_MS)
+            self._refuse(message.stream, message.session_id, refusal)
+        except StateVersionError as error:  # in the middle of an upgrade the robot is better off elsewhere
+            detail = f"the session is of another release: {error}"
+            refusal = pb.Refused(reason=pb.REFUSED_REASON_VERSION, detail=detail, retry_after_ms=VERSION_RETRY_MS)
             self._refuse(message.stream, message.session_id, refusal)
         except Exception:
             _log.exception("session cannot be opened", extra=fields(session_id=message.session_id))

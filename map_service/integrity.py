@@ -156,7 +156,8 @@ def _pose_problem(data: bytes | None) -> str:
     if data is None or len(data) != _POSE_BYTES:
         return f"pose of {0 if data is None else len(data)} bytes, expected {_POSE_BYTES}"
     values = np.frombuffer(data, "<f8")
-    unit = abs(float(np.linalg.norm(values[3:])) - 1.0) < _UNIT  # also false for NaN
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = abs(float(np.linalg.norm(values[3:])) - 1.0) < _UNIT  # also false for NaN
     return "" if unit and np.isfinite(values).all() else "pose that is no rigid transform"
 
 

@@ -10,8 +10,11 @@ from sqlalchemy import Connection, bindparam, delete, insert, update
 from map_service import schema
 from map_service.types import Commit
 from splitslam import se3
+from splitslam.errors import DataError
 
-_FRAME_ROW_BYTES = 3 * 56 + 40
+_POSE_BYTES = 7 * 8
+_FAR = 1e12
+_FRAME_ROW_BYTES = 3 * _POSE_BYTES + 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +48,14 @@ def pack_pose(T: np.ndarray) -> bytes:
 
 
 def unpack_pose(data: bytes) -> np.ndarray:
-    """56 bytes -> (4, 4)."""
+    """56 bytes -> (4, 4). Raises DataError("corrupt") for what cannot be a pose."""
+    if len(data) != _POSE_BYTES:
+        raise DataError("corrupt", f"a pose of {len(data)} bytes")
     values = np.frombuffer(data, "<f8")
+    if not np.abs(values).max() < _FAR:  # NaN as well
+        raise DataError("corrupt", "a pose that is nowhere")
+    if not values[3:].any():
+        raise DataError("corrupt", "a pose without a rotation")
     return se3.from_quat(values[:3], values[3:])
 
 

@@ -27,6 +27,12 @@ class Model(pydantic.BaseModel):
 class _Loader(yaml.SafeLoader):
     """YAML as people mean it: `off` and `no` stay text, `1e-4` is a number, a key twice is an error."""
 
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):  # a few of them in each other make gigabytes of a kilobyte
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not taken", mark)
+        return super().compose_node(parent, index)
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
@@ -86,6 +92,10 @@ def parse_yaml(text: str, name: str) -> dict[str, Any]:
     """YAML text -> mapping; InputError naming `name` and the line when it is none."""
     try:
         data = yaml.load(text, Loader=_Loader)
+    except RecursionError:
+        raise InputError(f"{name}: not valid YAML: nested too deeply") from None
+    except (ValueError, OverflowError) as error:  # of a scalar that looks like a number and is none
+        raise InputError(f"{name}: not valid YAML: {error}"[:300]) from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark is not None else ""

@@ -33,7 +33,8 @@ def known_elevations_rad(lidar: Lidar) -> NDArray[np.float32] | None:
 
 def elevation_rad(points_lidar: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N, 3) m -> (N,) angle above the lidar's x-y plane."""
-    return np.arctan2(points_lidar[:, 2], np.hypot(points_lidar[:, 0], points_lidar[:, 1]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.arctan2(points_lidar[:, 2], np.hypot(points_lidar[:, 0], points_lidar[:, 1]))
 
 
 def _far(points_lidar: NDArray[np.float32]) -> NDArray[np.bool_]:

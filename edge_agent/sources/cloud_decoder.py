@@ -58,7 +58,7 @@ class CloudDecoder:
         if table.ring is not None:
             if table.ring.dtype.kind != "f":
                 return table.ring
-            return np.nan_to_num(table.ring, nan=-1.0).astype(np.int64)
+            return np.nan_to_num(np.clip(table.ring, -1.0, 1e6), nan=-1.0).astype(np.int64)
         if self.beam_elevations_rad is None:
             raise DataError("decode", "points have no ring and beam elevations are not known")
         self._notes["points have no ring: it is taken from their elevation"] = None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from splitslam.errors import DataError
 
 _UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+_NEVER_NS = 4e18  # the year 2096
 _SAME_CLOCK_NS = 1_000_000_000
 
 
@@ -52,9 +53,11 @@ class PointClock:
     def __call__(self, header_ns: int, time: NDArray[Any]) -> PointTimes:
         """header_ns: `header.stamp`. time: (N,) the field. DataError `point_time` when no time is usable."""
         if time.dtype.kind == "f":
-            time = time.astype(np.float64, copy=False)
+            with np.errstate(invalid="ignore"):  # of NaN of any kind
+                time = time.astype(np.float64, copy=False)
             good = np.isfinite(time)
         else:
+            time = time.astype(np.int64)  # differences of the field's own type may not fit into it
             good = np.ones(len(time), dtype=bool)
         if self.meaning is None:
             self.meaning = self._decide(header_ns, time[good])
@@ -66,7 +69,7 @@ class PointClock:
         first = time[good].min()  # exact: the difference of near values loses nothing
         offset = np.where(good, time, first) - first
         if offset.dtype.kind == "f":
-            t_ns = np.rint(offset * meaning.unit_ns).astype(np.int64)
+            t_ns = np.rint(np.minimum(offset * meaning.unit_ns, _NEVER_NS)).astype(np.int64)
             first_ns = _float_to_ns(float(first), meaning.unit_ns)
         else:
             t_ns = offset.astype(np.int64) * meaning.unit_ns
@@ -80,6 +83,8 @@ class PointClock:
             stamp_ns = header_ns
         else:
             stamp_ns = header_ns + first_ns
+        if abs(stamp_ns) > _NEVER_NS:
+            raise DataError("point_time", f"points of {first:g}, which is no time")
         return PointTimes(stamp_ns, stamp_ns + span_ns, t_ns, ~good)
 
     def _decide(self, header_ns: int, time: NDArray[Any]) -> TimeMeaning:
@@ -133,12 +138,13 @@ def times_from_azimuth(points_lidar: NDArray[np.float32], ring: NDArray[Any], pe
     ring_sorted, azimuth_sorted = ring[index][order], azimuth[order]
     same = ring_sorted[1:] == ring_sorted[:-1]
     step = (np.diff(azimuth_sorted) + np.pi) % (2 * np.pi) - np.pi
-    sense = 1.0 if np.median(step[same]) > 0 else -1.0
+    sense = 1.0 if same.any() and np.median(step[same]) > 0 else -1.0
     turn = (sense * (azimuth - azimuth[0])) / (2 * np.pi) % 1.0
-    counts = np.bincount(ring_sorted.astype(np.int64))
+    # rings by their order, not by their numbers: those are the driver's, and may be anything
+    ring_index = np.concatenate([[0], np.cumsum(~same)])
+    counts = np.bincount(ring_index)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     place = np.empty(len(index))
-    ring_index = ring_sorted.astype(np.int64)
     place[order] = (np.arange(len(index)) - starts[ring_index]) / counts[ring_index]
     turn -= np.rint(turn - place) * (np.abs(turn - place) > 0.5)
     turn -= turn.min()

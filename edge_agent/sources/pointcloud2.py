@@ -95,7 +95,9 @@ class IntensityScale:
             return np.zeros(n, dtype=np.uint8)
         if values.dtype == np.uint8:
             return values
-        numbers = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=255.0, neginf=0.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            numbers = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=255.0, neginf=0.0)
+        numbers = np.clip(numbers, 0.0, 255.0)
         if self._factor is None:
             unit = values.dtype.kind == "f" and 0.0 < numbers.max(initial=0.0) <= 1.0
             self._factor = 255.0 if unit else 1.0

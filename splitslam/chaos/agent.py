@@ -6,6 +6,7 @@ import json
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,8 @@ class Agent:
     """One robot; `process` is what to kill or freeze. Every method may be called from any thread.
 
     began_s: when the first sensor message is due, monotonic clock: the sensors go on whether the agent lives or not.
-    None: no clock, in lockstep, as fast as it goes. settings: what else agent.yaml holds.
+    None: no clock, in lockstep, as fast as it goes. settings: what else agent.yaml holds. program: what
+    `run --config FILE` is given to.
     """
 
     def __init__(
@@ -80,12 +82,13 @@ class Agent:
         metrics_port: int | None = None,
         socket: Path | None = None,
         settings: dict[str, Any] | None = None,
+        program: Sequence[str] = PROGRAM,
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.name, self.drive, self.folder, self.began_s = name, drive, folder, began_s
         self.metrics_port, self.socket = metrics_port, socket
         self.lives: list[Life] = []
-        self._server, self._settings = server, settings or {}
+        self._server, self._settings, self._program = server, settings or {}, tuple(program)
         self.process = StackProcess(name, folder / "agent.log")
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._supervise, name=f"supervisor-{name}", daemon=True)
@@ -130,7 +133,7 @@ class Agent:
         folder.mkdir()
         config = folder / "agent.yaml"
         config.write_text(yaml.safe_dump(self._config(folder)))
-        self.process.launch((*PROGRAM, "run", "--config", config))
+        self.process.launch((*self._program, "run", "--config", config))
         self.lives.append(Life(folder, self.process.pid, time.monotonic()))
 
     def _config(self, folder: Path) -> dict[str, Any]:

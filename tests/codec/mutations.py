@@ -63,6 +63,16 @@ def mutated(payload: bytes, other: bytes, kind: str, rng: np.random.Generator) -
     return bytes(body)
 
 
+def check(frame: FeatureFrame, data: bytes) -> None:
+    """What holds of every frame that is not refused."""
+    assert np.isfinite(frame.corners.points_lidar).all(), data.hex()
+    assert np.isfinite(frame.surfs.points_lidar).all(), data.hex()
+    assert np.isfinite(frame.motion.T_prev_lidar).all(), data.hex()
+    assert np.all(np.diff(frame.motion.knots.offsets_ns) > 0), data.hex()
+    assert len(frame.surfs) == 0 or frame.surfs.ring.max() < len(ELEVATIONS_RAD), data.hex()
+    assert len(frame.surfs) + len(frame.corners) <= codec.MAX_POINTS, data.hex()
+
+
 def outcomes(count: int, seed: int) -> Iterator[tuple[str, bytes, bool]]:
     """(kind, what was decoded, refused) of `count` payloads; AssertionError for an answer that is neither."""
     rng, whole = np.random.default_rng(seed), payloads()
@@ -76,12 +86,7 @@ def outcomes(count: int, seed: int) -> Iterator[tuple[str, bytes, bool]]:
             refused = True
         else:
             refused = False
-            assert np.isfinite(frame.corners.points_lidar).all(), data.hex()
-            assert np.isfinite(frame.surfs.points_lidar).all(), data.hex()
-            assert np.isfinite(frame.motion.T_prev_lidar).all(), data.hex()
-            assert np.all(np.diff(frame.motion.knots.offsets_ns) > 0), data.hex()
-            assert len(frame.surfs) == 0 or frame.surfs.ring.max() < len(ELEVATIONS_RAD), data.hex()
-            assert len(frame.surfs) + len(frame.corners) <= codec.MAX_POINTS, data.hex()
+            check(frame, data)
         assert time.perf_counter() - before < MAX_SECONDS, data.hex()
         yield kind, data, refused
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
+from pathlib import Path
 
 import grpc
 import pytest
@@ -253,3 +255,22 @@ def test_a_stream_that_breaks_is_counted_by_its_end_and_leaves_no_traceback(serv
     log = [json.loads(line) for line in service.log.splitlines()]
     assert {line["status"] for line in log if line["event"] == "stream ended"} == set(ends)
     assert not [line for line in log if "exception" in line]
+
+
+def test_a_session_of_a_later_release_is_sent_to_another_replica_and_not_touched(
+    service: Service, start_service: Callable[..., Service], connect: Connect, tmp_path: Path, session_id: str
+) -> None:
+    """In the middle of an upgrade, or of one that is taken back."""
+    robot = connect(service)
+    robot.ask(frame(1))
+    robot.wait_durable(1)
+    service.close()
+    with sqlite3.connect(tmp_path / "map.db") as store:
+        later = b'{"later": true}'
+        assert store.execute("UPDATE sessions SET tracker = ?", [later]).rowcount == 1
+    robot = connect(start_service())
+    refused = robot.next("refused")
+    assert (refused.reason, refused.retry_after_ms > 0) == (pb.REFUSED_REASON_VERSION, True)
+    assert "the session is of another release: tracker state of version 9" in refused.detail
+    with sqlite3.connect(tmp_path / "map.db") as store:
+        assert store.execute("SELECT tracker, last_seq FROM sessions").fetchall() == [(later, 1)]

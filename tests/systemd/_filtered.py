@@ -1,4 +1,4 @@
-"""Run by the manager: argv is a file of names and a command. Loads the filter of SystemCallFilter=, becomes the command.
+"""Run by the manager: argv is a file of names and a command. Loads the filter of SystemCallFilter=, then becomes it.
 
 What is not named fails with EPERM, as with SystemCallErrorNumber=EPERM.
 """

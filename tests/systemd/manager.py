@@ -51,11 +51,13 @@ class Manager:
         self.aborted = False
         self.folders = {}
         for variable, (key, parent) in _FOLDERS.items():
+            if not self.unit.all(key):
+                continue
             folder = Path(f"{root}{parent}") / self.unit.one(key)
             folder.mkdir(parents=True, exist_ok=True)
             self.folders[variable] = folder
         self.state, self.config = self.folders["STATE_DIRECTORY"], self.folders["CONFIGURATION_DIRECTORY"]
-        self.runtime = self.folders["RUNTIME_DIRECTORY"]
+        self.runtime = root / "run" / "splitslam"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(root / "notify"))
         self._socket.settimeout(0.05)

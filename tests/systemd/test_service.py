@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import sys
 from collections.abc import Iterator
 from itertools import pairwise
@@ -18,7 +19,7 @@ from tests.systemd.cut import cut
 from tests.systemd.manager import Manager
 
 EXECUTABLES = Path(sys.executable).parent
-WATCHDOG_S = 2.0
+WATCHDOG_S = 4.0
 SCANS = 30
 STUCK = Path(__file__).with_name("stuck")
 
@@ -60,7 +61,9 @@ def test_it_is_ready_when_scans_can_come_and_alive_while_they_do(
     manager.until(lambda: bool(manager.with_field("WATCHDOG")), "no sign of life")
     (ready,) = manager.with_field("READY")
     assert manager.with_field("WATCHDOG")[0].at_s >= ready.at_s
-    assert "kernels" in manager.statuses()[0]
+    before = [status.partition(" ")[0] for status in manager.statuses()[:3]]
+    assert before == ["compiling", "waiting", "unanchored;"]  # the third one came with READY
+    assert manager.with_field("STATUS")[2] == ready
     assert (manager.runtime / "pose.sock").is_socket()
     manager.until(lambda: any("scans/s; " in text and "tracking" in text for text in manager.statuses()), "no status")
 
@@ -105,7 +108,9 @@ def test_a_stuck_pipeline_is_ended_with_its_stacks_in_the_log_and_the_next_start
 
 def test_silent_sensors_are_said_and_are_no_reason_to_end(manager: Manager, service: FakeService, shared_data: Path):
     bag, robot = yard1(shared_data)
-    recording = cut(bag, manager.root / "cut.bag", keep_s=((0.0, 1.0), (2.5 + 2 * WATCHDOG_S, 100.0)), until_s=7.5)
+    recording = cut(
+        bag, manager.root / "cut.bag", keep_s=((0.0, 1.0), (WATCHDOG_S + 3.5, 100.0)), until_s=WATCHDOG_S + 4.5
+    )
     configure(manager, service.address, recording, robot)
     manager.start()
     assert manager.wait() == 0, manager.log.read_text()[-2000:]
@@ -115,6 +120,27 @@ def test_silent_sensors_are_said_and_are_no_reason_to_end(manager: Manager, serv
     assert log.count("scans come again, after ") == 1
     assert any(status.startswith("no scan for ") for status in manager.statuses())
     assert service.finished
+
+
+def test_the_map_service_is_ready_when_robots_can_connect_and_says_when_it_goes(tmp_path: Path):
+    manager = Manager(tmp_path, EXECUTABLES, WATCHDOG_S, "map-service")
+    (manager.config / "map.yaml").write_text(
+        json.dumps({"listen": "127.0.0.1:0", "store": "sqlite:///map.db", "metrics": {"port": None}, "workers": 1})
+    )
+    try:
+        manager.start()
+        manager.until(lambda: len(manager.with_field("WATCHDOG")) > 3, "no sign of life")
+        (ready,) = manager.with_field("READY")
+        host, _, port = ready.fields["STATUS"].removeprefix("listening on ").rpartition(":")
+        with socket.create_connection((host, int(port)), timeout=5):
+            pass
+        assert (manager.state / "map.db").is_file()
+        manager.send(signal.SIGTERM)
+        assert manager.wait() == 0, manager.log.read_text()[-2000:]
+        assert manager.with_field("STOPPING")
+        assert not manager.aborted
+    finally:
+        manager.close()
 
 
 def test_a_bad_configuration_ends_it_for_good_before_it_is_ready(manager: Manager, shared_data: Path):

@@ -17,10 +17,9 @@ def debian(program: str, package: str) -> str:
     Else the test is skipped on a laptop and fails in CI.
     """
     if shutil.which(program) is None and os.geteuid() == 0 and shutil.which("apt-get"):
+        apt = ["apt-get", "-qq", "-o", "DPkg::Lock::Timeout=240"]  # another worker may be at it
         for command in (["update"], ["install", "--yes", "--no-install-recommends", package]):
-            subprocess.run(
-                ["apt-get", "-qq", "-o", "DPkg::Lock::Timeout=240", *command], capture_output=True, timeout=300
-            )
+            subprocess.run([*apt, *command], capture_output=True, timeout=300)
     found = shutil.which(program)
     if found is None:
         reason = f"{program} is not installed (Debian: {package})"

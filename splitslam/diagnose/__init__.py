@@ -1,0 +1,1 @@
+"""`splitslam diagnose`: one file that says how a robot is, for people who were not there."""

@@ -1,0 +1,20 @@
+"""All targets by name; each is made where it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tests.fuzz import storage, wire
+from tests.fuzz.target import Target
+
+TARGETS: dict[str, Callable[[], Target]] = {
+    "codec": wire.codec,
+    "messages": wire.messages,
+    "robot_files": wire.robot_files,
+    "forwarded": wire.forwarded,
+    "spool_files": storage.spool_files,
+    "clouds": storage.clouds,
+    "store_rows": storage.store_rows,
+    "packets": storage.packets,
+    "point_clouds": storage.point_clouds,
+}

@@ -1,0 +1,64 @@
+"""A made drive, and the same as a robot records it whose IMU is bad: silent for a while, a clock that steps, NaN."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer
+
+from splitslam.chaos.agent import Drive
+from splitslam.sim import DEMO, simulate
+
+SECONDS = 38.0
+_SILENT_S = (7.0, 10.0)  # longer than scans wait for their IMU
+_STEP_S, _STEP_BY_S = 14.0, 3600
+_NAN_S = (11.0, 11.02)
+_STAMP = struct.Struct("<I")  # seconds of a ROS 1 header, behind its sequence number
+_GYRO_AT_BYTE = 4 + 8  # of a Header: seq, stamp; then the frame's name
+
+
+def make(folder: Path) -> Drive:
+    """The demo's drive, cut short."""
+    made = simulate(replace(DEMO, duration_s=SECONDS), folder)
+    return Drive(made.bag_path, made.robot_path, made.truth_path)
+
+
+def harm(drive: Drive, folder: Path) -> Drive:
+    """Its recording with a bad IMU, and a robot file that is wrong about the rate of it."""
+    folder.mkdir()
+    harmed = Drive(folder / drive.recording.name, folder / drive.robot.name, drive.truth)
+    robot = yaml.safe_load(drive.robot.read_text())
+    robot["imu"]["rate_hz"] = 100.0
+    harmed.robot.write_text(yaml.safe_dump(robot))
+    with AnyReader([drive.recording]) as bag, Writer(harmed.recording) as out:
+        connections = {
+            one.topic: out.add_connection(one.topic, one.msgtype, typestore=bag.typestore) for one in bag.connections
+        }
+        start_ns = bag.start_time
+        for connection, at_ns, raw in bag.messages():
+            messages = [bytes(raw)]
+            if connection.topic == "/imu/data":
+                messages = list(_bad_imu(messages[0], (at_ns - start_ns) * 1e-9))
+            for message in messages:
+                out.write(connections[connection.topic], at_ns, message)
+    return harmed
+
+
+def _bad_imu(raw: bytes, after_s: float) -> Iterator[bytes]:
+    """What becomes of one message."""
+    if _SILENT_S[0] <= after_s < _SILENT_S[1]:
+        return
+    message = bytearray(raw)
+    if after_s >= _STEP_S:
+        _STAMP.pack_into(message, 4, _STAMP.unpack_from(message, 4)[0] + _STEP_BY_S)
+    if _NAN_S[0] <= after_s < _NAN_S[1]:
+        name_bytes = _STAMP.unpack_from(message, _GYRO_AT_BYTE)[0]
+        gyro = _GYRO_AT_BYTE + 4 + name_bytes + (4 + 9) * 8  # behind the name, the orientation and its covariance
+        struct.pack_into("<d", message, gyro, np.nan)
+    yield bytes(message)
