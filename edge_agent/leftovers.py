@@ -94,8 +94,8 @@ class Leftovers:
         except InputError as error:
             done = False
             self.errors["refused"] += frames
-            said = fields(run_id=run.run_id, frames=frames, detail=str(error))
-            _log.error("frames refused, kept for the next start", extra=said)
+            kept = fields(run_id=run.run_id, frames=frames, detail=str(error))
+            _log.error("frames refused, kept for the next start", extra=kept)
         finally:
             uplink.close()
             spool.close()

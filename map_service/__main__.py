@@ -64,9 +64,7 @@ def serve(
 
 @app.command()
 def health(
-    server: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Else what the configuration listens on.")
-    ] = None,
+    server: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Else by its configuration.")] = None,
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="The service's YAML; defaults without.")] = None,
     timeout_s: Annotated[float, typer.Option(min=0.1, help="How long it may take to answer.")] = 2.0,
 ) -> None:

@@ -53,6 +53,7 @@ class EdgeFront:
     async def stream(self, requests: AsyncIterator[bytes], context: grpc.aio.ServicerContext) -> AsyncIterator[bytes]:
         if self._draining:  # before any message, so that the proxy tries another replica by itself
             await context.abort(grpc.StatusCode.UNAVAILABLE, "shutting down")
+        session_id = ""
         with ExitStack() as cleanup:
             try:
                 caller = self._callers.identify(context)
@@ -62,7 +63,7 @@ class EdgeFront:
                 cleanup.enter_context(self._clients.stream(hello.robot_id))
                 self._admit(session_id)
             except (RefusedError, DeniedError) as refusal:
-                yield pb.StreamResponse(refused=self._refused(refusal)).SerializeToString()
+                yield pb.StreamResponse(refused=self._refused(refusal, session_id)).SerializeToString()
                 return
             self._count_open(1)
             cleanup.callback(self._count_open, -1)
@@ -127,21 +128,19 @@ class EdgeFront:
             return
         raise RefusedError(pb.REFUSED_REASON_OVERLOADED, detail, OVERLOADED_RETRY_MS)
 
-    def _refused(self, refusal: RefusedError | DeniedError) -> pb.Refused:
-        """Counted, logged, and as the robot is told."""
+    def _refused(self, refusal: RefusedError | DeniedError, session_id: str) -> pb.Refused:
+        """Counted, logged, and as the robot is told. session_id: "" for a robot that has not come to say it."""
         if isinstance(refusal, RefusedError):
             refused, denied = refusal.message, ""
         else:
             denied = refusal.reason
             self._metrics.denied.inc(denied)
             refused = _as_told(refusal)
-        self._count_refusal(refused, denied)
-        return refused
-
-    def _count_refusal(self, refused: pb.Refused, denied: str = "") -> None:
         reason = refusal_word(refused)
         self._metrics.refused.inc(reason)
-        _log.warning("refused", extra=fields(reason=denied or reason, detail=refused.detail))
+        who = {"session_id": session_id} if session_id else {}
+        _log.warning("refused", extra=fields(**who, reason=denied or reason, detail=refused.detail))
+        return refused
 
     async def _reassure(self, worker: WorkerProcess, stream: RobotStream) -> None:
         """Signs of life before Welcome: a long session takes a while to be built again, a robot leaves after 0.5 s."""
@@ -156,7 +155,7 @@ class EdgeFront:
             try:
                 self._callers.check_revoked(caller)
             except DeniedError as refusal:
-                stream.put(pb.StreamResponse(refused=self._refused(refusal)).SerializeToString())
+                stream.put(pb.StreamResponse(refused=self._refused(refusal, stream.session_id)).SerializeToString())
                 stream.end()
                 return
 

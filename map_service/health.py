@@ -17,7 +17,8 @@ def problem_with(config: ServiceConfig, server: str | None = None, timeout_s: fl
     try:
         with grpc.insecure_channel(address) as channel:
             request = health_pb2.HealthCheckRequest(service=_ASKED)
-            answer = health_pb2_grpc.HealthStub(channel).Check(request, timeout=timeout_s)
+            check = health_pb2_grpc.HealthStub(channel).Check  # pyright: ignore[reportAttributeAccessIssue] (no stubs)
+            answer = check(request, timeout=timeout_s)
     except grpc.RpcError as error:
         code = getattr(error, "code", lambda: grpc.StatusCode.UNKNOWN)()
         return f"map service at {address}: no answer within {timeout_s:g} s ({code.name})"

@@ -22,10 +22,12 @@ from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.tally import Tally
+from map_service.types import StateVersionError
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 STORE_RETRY_MS = 500
+VERSION_RETRY_MS = 500
 _SLOW_S = 1.0
 
 _log = logging.getLogger(__name__)
@@ -72,14 +74,19 @@ class SessionHost:
         try:
             session = self._opener.open(message.hello)
         except RefusedError as refusal:
-            self._refuse(message.stream, refusal.message)
+            self._refuse(message.stream, message.session_id, refusal.message)
         except FinishedError:
             detail = "the session has ended and is read-only"
-            self._refuse(message.stream, pb.Refused(reason=pb.REFUSED_REASON_FINISHED, detail=detail))
+            refusal = pb.Refused(reason=pb.REFUSED_REASON_FINISHED, detail=detail)
+            self._refuse(message.stream, message.session_id, refusal)
         except StoreError as error:
             detail = f"store: {error}"[:200]
             refusal = pb.Refused(reason=pb.REFUSED_REASON_STORE, detail=detail, retry_after_ms=STORE_RETRY_MS)
-            self._refuse(message.stream, refusal)
+            self._refuse(message.stream, message.session_id, refusal)
+        except StateVersionError as error:  # in the middle of an upgrade the robot is better off elsewhere
+            detail = f"the session is of another release: {error}"
+            refusal = pb.Refused(reason=pb.REFUSED_REASON_VERSION, detail=detail, retry_after_ms=VERSION_RETRY_MS)
+            self._refuse(message.stream, message.session_id, refusal)
         except Exception:
             _log.exception("session cannot be opened", extra=fields(session_id=message.session_id))
             self.sessions.drop(message.session_id)
@@ -87,10 +94,10 @@ class SessionHost:
         else:
             self._attach(session, message.stream)
 
-    def _refuse(self, stream: int, refused: pb.Refused) -> None:
+    def _refuse(self, stream: int, session_id: str, refused: pb.Refused) -> None:
         reason = refusal_word(refused)
         self.tally.count("refused", reason)
-        _log.warning("refused", extra=fields(reason=reason, detail=refused.detail))
+        _log.warning("refused", extra=fields(session_id=session_id, reason=reason, detail=refused.detail))
         self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))
 
     def _attach(self, session: Session, stream: int) -> None:
@@ -247,7 +254,7 @@ class SessionHost:
                 session.commit()
                 stream = session.stream
                 self.sessions.detach(stream)
-                self._refuse(stream, refusal.message)
+                self._refuse(stream, session.request.session_id, refusal.message)
 
     def _fenced(self, session: Session, error: Exception) -> None:
         self.tally.count("fenced")

@@ -15,7 +15,7 @@ from map_service.graph import PoseGraph
 from map_service.keyframes import Cloud, Keyframe, Keyframes
 from map_service.pipeline_statistics import outcomes
 from map_service.tracker import TrackerState
-from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot
+from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot, StateVersionError
 from splitslam import se3
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     """Puts a stored session into a fresh pipeline."""
     data = json.loads(snapshot.tracker)
     if data["v"] not in _READ:
-        raise ValueError(f"tracker state of version {data['v']}, expected one of {_READ}")
+        raise StateVersionError(f"tracker state of version {data['v']}, expected one of {_READ}")
     if data.get("empty"):
         return
     poses = [k.T_map_lidar for k in snapshot.keyframes]

@@ -44,32 +44,36 @@ class RobotGauges(Collector):
     def __init__(self, most: int, registry: CollectorRegistry) -> None:
         self._most = most
         self._by_worker: dict[int, list[RobotSeen]] = {}
-        self._shown: dict[str, None] = {}  # in the order in which they came
+        self._shown: dict[str, RobotSeen] = {}  # in the order in which they came; made anew, read by the page's thread
+        self._more = 0
         registry.register(self)
 
     def update(self, worker: int, robots: list[RobotSeen]) -> None:
         """All sessions of a worker as they stand now."""
         self._by_worker[worker] = robots
+        newest = self._newest()
+        shown = dict.fromkeys([*(robot_id for robot_id in self._shown if robot_id in newest), *newest])
+        self._shown = {robot_id: newest[robot_id] for robot_id in list(shown)[: self._most]}
+        self._more = len(newest) - len(self._shown)
 
     def describe(self) -> Iterator[GaugeMetricFamily]:
         yield from (_family(metric) for metric in m.ROBOT_METRICS)
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
-        robots, now_s = self._robots(), time.monotonic()
-        self._shown = dict.fromkeys([*(r for r in self._shown if r in robots), *robots][: self._most])
+        shown, now_s = self._shown, time.monotonic()
         for metric, value in _GAUGES:
             family = _family(metric)
-            for robot_id in self._shown:
-                family.add_metric([robot_id], value(robots[robot_id], now_s))
+            for robot_id, robot in shown.items():
+                family.add_metric([robot_id], value(robot, now_s))
             yield family
         more = _family(m.ROBOTS_NOT_SHOWN)
-        more.add_metric([], len(robots) - len(self._shown))
+        more.add_metric([], self._more)
         yield more
 
-    def _robots(self) -> dict[str, RobotSeen]:
+    def _newest(self) -> dict[str, RobotSeen]:
         """One session for each robot: the one with the newest scan, when frames of a run before are sent beside it."""
         newest: dict[str, RobotSeen] = {}
-        for robot in [robot for robots in list(self._by_worker.values()) for robot in robots]:
+        for robot in [robot for robots in self._by_worker.values() for robot in robots]:
             other = newest.get(robot.standing.robot_id)
             if other is None or robot.standing.last_stamp_ns >= other.standing.last_stamp_ns:
                 newest[robot.standing.robot_id] = robot

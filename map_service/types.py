@@ -133,3 +133,7 @@ class Snapshot:
     mapped: int = 0
     places: list[bytes] = field(default_factory=list)  # of keyframes 0, 1, 2, ...
     fetch_clouds: Callable[[Sequence[int]], dict[int, bytes]] | None = None
+
+
+class StateVersionError(Exception):
+    """A stored session is of a release that this one cannot read; another replica may."""

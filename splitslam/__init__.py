@@ -1,3 +1,3 @@
 """What the edge agent and the map service share: types, wire contract, codec, commands."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

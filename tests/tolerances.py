@@ -125,6 +125,14 @@ CHAOS_MEMORY_RATIO = 1.3
 # so many times the bar, and as many again as the load average has processes for each core.
 CHAOS_GAP_SLACK = 3.0
 
+# The rack's processes and a robot, none of which runs, to its first mapped scan: what was asked for.
+RACK_FROM_NOTHING_S = 30.0
+# A golden frame's points on another CPU: float32 at 100 m has a step of 8 um.
+GOLDEN_M = 2e-5
+
 # `systemd-analyze security`: 0 is locked, 10 is open.
 UNIT_EXPOSURE = 3.0
 UNIT_EXPOSURE_FPGA = 6.0
+
+# Counting one scan on either side, CPU time of the thread: ten times what was seen (docs/benchmarks.md).
+METRICS_CPU_S = 200e-6

@@ -61,7 +61,7 @@ class StreamMachine(RuleBasedStateMachine):
         while True:
             self.host._committer.run(lambda: None).result(WORST_S)
             self.host.look_after()
-            if not self.host.committing:
+            if not self.host.sessions.committing:
                 break
         self.hold()
 

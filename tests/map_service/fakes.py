@@ -18,7 +18,16 @@ from map_service.cloud import encode_cloud
 from map_service.database import StoreError
 from map_service.hello import SessionRequest
 from map_service.settings import PipelineSettings
-from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord, MapAnswer, Snapshot, State
+from map_service.types import (
+    Commit,
+    FactorRecord,
+    FrameRecord,
+    KeyframeRecord,
+    MapAnswer,
+    Snapshot,
+    State,
+    StateVersionError,
+)
 from splitslam.errors import DataError
 from splitslam.scan import GnssFix
 from splitslam.wire import session_pb2 as pb
@@ -44,6 +53,8 @@ class FakePipeline:
 
     def __init__(self, snapshot: Snapshot | None) -> None:
         state = json.loads(snapshot.tracker) if snapshot else {"mapped": 0, "keyframes": []}
+        if state.get("later"):
+            raise StateVersionError("tracker state of version 9, expected one of (1, 2)")
         self.mapped, self.keyframes = state["mapped"], state["keyframes"]
         self.frames: list[FrameRecord] = []
         self.new_keyframes: list[KeyframeRecord] = []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
+from pathlib import Path
 
 import grpc
 import pytest
@@ -13,7 +15,7 @@ from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, frame, hello
+from tests.map_service.harness import Operator, Robot7, Service, frame, hello, new_run
 
 Connect = Callable[..., Robot7]
 
@@ -233,3 +235,42 @@ def test_fixes_that_cannot_be_used_are_counted_not_passed_on(service: Service, c
     for _ in range(3):
         robot.next("credit")
     assert service.metrics()['splitslam_map_gnss_total{result="unusable"}'] == 2
+
+
+def test_a_stream_that_breaks_is_counted_by_its_end_and_leaves_no_traceback(service: Service, connect: Connect) -> None:
+    """By the robot; by us, for a gap; by a worker that dies. A Bye ends it well."""
+    gone, gap, crash, well = (connect(service, run_id=new_run()) for _ in range(4))
+    for robot in (gone, gap, crash, well):
+        robot.ask(frame(1))
+    gone.close()
+    gap.send(frame(5))
+    assert gap.end() == grpc.StatusCode.ABORTED
+    well.send(pb.Bye(last_seq=1))
+    assert well.end() == grpc.StatusCode.OK
+    crash.send(frame(2, payload("crash", once=str(service.folder / "crashed"))))
+    assert crash.end() == grpc.StatusCode.UNAVAILABLE
+    ends = {"ok": 1, "cancelled": 1, "aborted": 1, "unavailable": 1}
+    metrics = service.metrics()
+    assert {name: metrics[f'splitslam_map_stream_ends_total{{status="{name}"}}'] for name in ends} == ends
+    log = [json.loads(line) for line in service.log.splitlines()]
+    assert {line["status"] for line in log if line["event"] == "stream ended"} == set(ends)
+    assert not [line for line in log if "exception" in line]
+
+
+def test_a_session_of_a_later_release_is_sent_to_another_replica_and_not_touched(
+    service: Service, start_service: Callable[..., Service], connect: Connect, tmp_path: Path, session_id: str
+) -> None:
+    """In the middle of an upgrade, or of one that is taken back."""
+    robot = connect(service)
+    robot.ask(frame(1))
+    robot.wait_durable(1)
+    service.close()
+    with sqlite3.connect(tmp_path / "map.db") as store:
+        later = b'{"later": true}'
+        assert store.execute("UPDATE sessions SET tracker = ?", [later]).rowcount == 1
+    robot = connect(start_service())
+    refused = robot.next("refused")
+    assert (refused.reason, refused.retry_after_ms > 0) == (pb.REFUSED_REASON_VERSION, True)
+    assert "the session is of another release: tracker state of version 9" in refused.detail
+    with sqlite3.connect(tmp_path / "map.db") as store:
+        assert store.execute("SELECT tracker, last_seq FROM sessions").fetchall() == [(later, 1)]
