@@ -314,6 +314,9 @@ class ImuNode:
             return
         T_odom_lidar = self.T_odom_lidar_at(reply.stamp_ns)
         T_server_imu = se3.inv(reply.T_map_odom) @ reply.T_map_lidar @ self.T_lidar_imu
+        if not self._started and len(reply.degenerate_axes) == 6:  # a pose that was carried knows nothing of the motion
+            self._hear(reply, T_odom_lidar)
+            return
         if (self._blind and self._level_late(reply.stamp_ns)) or not self._started:
             self._start_graph(reply.stamp_ns, T_server_imu)
         else:
@@ -330,6 +333,9 @@ class ImuNode:
                 self._restart(reply.stamp_ns, anchor, T_server_imu)
         self._answers += 1
         self._take(self.graph.state)
+        self._hear(reply, T_odom_lidar)
+
+    def _hear(self, reply: OdometryReply, T_odom_lidar: Array) -> None:
         self.T_map_odom = reply.T_map_lidar @ se3.inv(T_odom_lidar)
         self.covariance, self.state = reply.covariance, reply.state
 
