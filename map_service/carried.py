@@ -82,7 +82,12 @@ class CarriedScans:
     def dump(self) -> list:
         """JSON-ready; without the points."""
         return [
-            [s.seq, s.stamp_ns, *s.T_local_lidar[:3, 3].tolist(), *se3.quat_from_matrix(s.T_local_lidar[:3, :3]).tolist()]
+            [
+                s.seq,
+                s.stamp_ns,
+                *s.T_local_lidar[:3, 3].tolist(),
+                *se3.quat_from_matrix(s.T_local_lidar[:3, :3]).tolist(),
+            ]
             for s in self._scans
         ]
 
