@@ -201,6 +201,8 @@ class ImuNode:
         if self.wheels is None:
             P += np.eye(3) * noise.accel_mps2_rthz**2 * (start_ns - anchor.stamp_ns) * 1e-9
         covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, R.T @ P @ R, noise)
+        if start_ns - anchor.stamp_ns > self.settings.history_s * 1e9:
+            self._go_on_from(start_ns, states[here], P)
         lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
         velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
         return Motion(
@@ -212,6 +214,20 @@ class ImuNode:
             gravity_sigma_rad=_UNKNOWN_TILT_RAD if self.gaps.overlap(previous_ns, end_ns) else anchor.tilt_sigma_rad,
             velocity_known=self._answers >= 2,
         )
+
+    def _go_on_from(self, stamp_ns: int, row: Array, velocity_covariance: Array) -> None:
+        """Nobody has said for long where the robot is: what was integrated so far is not integrated again."""
+        anchor = self._anchor
+        assert anchor is not None
+        T_odom_imu = se3.compose(row[:9].reshape(3, 3), row[9:12])
+        self._anchor = replace(
+            anchor,
+            stamp_ns=stamp_ns,
+            T_odom_imu=T_odom_imu,
+            velocity_mps=row[12:].copy(),
+            velocity_covariance=velocity_covariance,
+        )
+        self._started = False
 
     def _lidar_pose(self, row: Array) -> Array:
         return se3.compose(row[:9].reshape(3, 3), row[9:12]) @ self.T_imu_lidar
@@ -310,7 +326,7 @@ class ImuNode:
         anchor = self._anchor
         if anchor is None or reply.rejected:
             return
-        if self._started and reply.stamp_ns <= anchor.stamp_ns:
+        if reply.stamp_ns < anchor.stamp_ns or (self._started and reply.stamp_ns == anchor.stamp_ns):
             return
         T_odom_lidar = self.T_odom_lidar_at(reply.stamp_ns)
         T_server_imu = se3.inv(reply.T_map_odom) @ reply.T_map_lidar @ self.T_lidar_imu

@@ -122,6 +122,19 @@ def test_poses_that_a_lost_service_carried_do_not_start_the_node():
     assert node.state == 2
 
 
+def test_a_minute_without_answers_costs_no_scan_more_than_the_last_ones_and_an_old_answer_changes_nothing():
+    node, drive, history_s = make_node(200.0), Drive(still_s=2.0), ImuSettings().history_s
+    old: list[OdometryReply] = []
+    original = node.on_odometry
+    node.on_odometry = old.append  # type: ignore[method-assign]
+    samples = [len(node.buffer) for _ in play(node, drive, 3 * history_s)]
+    assert max(samples) < 200.0 * (history_s + 2.0)
+    for reply in old:
+        original(replace(reply, T_map_lidar=np.eye(4)))
+        if reply.stamp_ns < START_NS + int(18e9):
+            assert not node._started
+
+
 def test_a_jump_of_the_map_moves_t_map_odom_and_not_t_odom_lidar():
     node, drive = make_node(200.0), Drive(still_s=2.0)
     jump = se3.compose(se3.so3_exp(np.array([0, 0, 0.3])), np.array([4.0, -2.0, 0.5]))
