@@ -99,7 +99,7 @@ class Doubt:
         return self._usual(fit, self.settings.lookout_scans) is not None
 
     def _usual(self, fit: Fit, scans: int) -> float | None:
-        """The score that is usual for so many features, or for the nearest number that is known; None before `scans`."""
+        """The score that is usual for so many features, or for the nearest number known from as many scans; or None."""
         known = {octave: level for octave, (level, n) in self.state.levels.items() if n >= scans}
         return known[min(known, key=lambda octave: abs(octave - fit.octave))] if known else None
 

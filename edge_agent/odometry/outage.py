@@ -2,8 +2,9 @@
 
 The Imu node is given poses of one frame, `steady`, that never jumps. With the service connected, `steady` is the
 service's odometry frame (inv(T_map_odom) @ T_map_lidar). In an outage the edge's odometry goes on in it, from the
-service's own poses of the last scans; where none has ever come, from the first scan, level. When the service is back, its frame lies where the two disagree by the drift of
-the outage: T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing of it.
+service's own poses of the last scans; where none has ever come, from the first scan on, level. When the service is
+back, its frame lies where the two disagree by the drift of the outage: T_steady_server. `map` takes that difference,
+and the robot's `odom` knows nothing of it.
 """
 
 from __future__ import annotations
