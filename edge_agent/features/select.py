@@ -52,7 +52,7 @@ class Selector:
         self._wanted = (corners, surfs)
         if not dense:
             self._wanted = (min(corners, round(times * s.sparse_corners)), min(surfs, round(times * s.sparse_surfs)))
-        return sum(self._wanted)
+        return int(sum(self._wanted))
 
     def choose(
         self, image: Image, found: FeatureMarks, dense: bool, share: float = 1.0

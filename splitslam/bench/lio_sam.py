@@ -41,7 +41,7 @@ class LioSamFeatures:
         self._picked, self._kept = np.empty(cells, np.uint8), np.empty(cells, np.uint8)
         self._rank, self._voxel_of = np.empty(cells, np.uint8), np.empty(cells, np.int32)
         slots = 1 << (2 * columns - 1).bit_length()
-        self._table, self._sums = np.empty((slots, 4), np.int64), np.empty((slots, 5))
+        self._table, self._sums = np.empty((slots, 2), np.int64), np.empty((columns, 6))
 
     def select(
         self,
