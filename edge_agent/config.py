@@ -67,7 +67,8 @@ class UplinkConfig(Model):
 
     max_kbps: null: no limit. buffer_bytes: kept frames that are in memory only, for want of a spool or while its disk
     fails. copies_bytes: of those on disk, what is in memory as well. window: before the first Credit.
-    connect_timeout_s: for the very first Welcome of a run; null: for ever, and with a spool the run begins without it.
+    connect_timeout_s: for the very first Welcome of a run; null: for ever, and with a spool the run begins without it
+    (`splitslam run`: 10 s, as somebody waits).
     reconnect_timeout_s: for each later outage, null: for ever.
     answer_timeout_s: a stream that talks but leaves a frame unanswered for so long is given up.
     """
@@ -76,7 +77,7 @@ class UplinkConfig(Model):
     buffer_bytes: Annotated[int, Field(ge=1)] = 64 * 2**20
     copies_bytes: Annotated[int, Field(ge=0)] = 4 * 2**20
     window: Annotated[int, Field(ge=1)] = 4
-    connect_timeout_s: Positive | None = 10.0
+    connect_timeout_s: Positive | None = None
     reconnect_timeout_s: Positive | None = None
     welcome_timeout_s: Positive = 0.5
     welcome_timeout_max_s: Positive = 4.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ class DensePolicy:
         """Takes the motion (4, 4) since the frame before; true when this one is to be dense."""
         s = self._settings
         self._T_dense_lidar = self._T_dense_lidar @ T_prev_lidar
-        moved = np.linalg.norm(self._T_dense_lidar[:3, 3]) >= s.distance_m
+        moved = math.hypot(*self._T_dense_lidar[:3, 3].tolist()) >= s.distance_m
         dense = self.wanted or self._frames < s.first_frames or moved or se3.angle(self._T_dense_lidar) >= s.angle_rad
         self._frames += 1
         if dense:

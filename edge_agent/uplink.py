@@ -28,6 +28,7 @@ from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
 _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: the next failure starts over
+_TELL_S = 10.0  # without a service from the start, before that is said
 
 
 class SessionOverError(InputError):
@@ -215,7 +216,7 @@ class Uplink:
     def _keep_connected(self) -> None:
         s = self._settings
         backoff = Backoff(s.backoff_first_s, s.backoff_max_s)
-        failures = 0
+        failures, told = 0, False
         down_since_s = time.monotonic()
         while True:
             state = self._one_stream(welcome_timeout_s(s.welcome_timeout_s, s.welcome_timeout_max_s, failures))
@@ -237,6 +238,9 @@ class Uplink:
                 run_id = self._dialogue.hello.run_id
                 said = fields(run_id=run_id, server=self._server, cause=cause, detail=str(state.ended))
                 _log.info("stream broke", extra=said)
+                if first and not told and now_s - down_since_s >= _TELL_S:
+                    told = True
+                    _log.warning("no map service yet: frames are kept until it answers", extra=said)
                 if state.other_replica or not state.welcomed:
                     self._dialogue.hello.attempt += 1
                 delay_s = max(backoff.next_s(), jittered(state.retry_after_s))

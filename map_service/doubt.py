@@ -74,7 +74,7 @@ class Doubt:
         """Takes the fit of the next scan. The usual level is learnt from trusted scans alone."""
         s, d = self.settings, self.state
         level, scans = d.levels.get(fit.octave, (0.0, 0))
-        usual = self._usual(fit)
+        usual = self._usual(fit, s.learn_scans)
         if usual is None or fit.score >= s.doubt_share * usual:
             self._learn(fit)
             d.doubted, d.covariance = 0, np.zeros((6, 6))
@@ -89,9 +89,18 @@ class Doubt:
             d.levels[fit.octave], d.doubted = (fit.score, scans), 0
         return Verdict.DOUBTED
 
-    def _usual(self, fit: Fit) -> float | None:
-        """The score that is usual for so many features, or for the nearest number that is known; None before."""
-        known = {octave: level for octave, (level, n) in self.state.levels.items() if n >= self.settings.learn_scans}
+    def fits(self, fit: Fit) -> bool:
+        """Is this about as well as scans fit where they were taken?"""
+        usual = self._usual(fit, self.settings.lookout_scans)
+        return usual is not None and fit.score >= self.settings.doubt_share * usual
+
+    def can_tell(self, fit: Fit) -> bool:
+        """Have there been scans enough to tell a place that fits from one that does not?"""
+        return self._usual(fit, self.settings.lookout_scans) is not None
+
+    def _usual(self, fit: Fit, scans: int) -> float | None:
+        """The score that is usual for so many features, or for the nearest number known from as many scans; or None."""
+        known = {octave: level for octave, (level, n) in self.state.levels.items() if n >= scans}
         return known[min(known, key=lambda octave: abs(octave - fit.octave))] if known else None
 
     def _learn(self, fit: Fit) -> None:
@@ -108,7 +117,7 @@ class Doubt:
         return d.doubted > s.patience_scans
 
     def _in_question(self, place: Place) -> bool:
-        usual = self._usual(place.fit)
+        usual = self._usual(place.fit, self.settings.lookout_scans)
         return usual is not None and place.fit.score > self.settings.found_share * usual
 
     # --- lost -------------------------------------------------------------------------------------------------
@@ -153,9 +162,8 @@ class Doubt:
         """
         s, d = self.settings, self.state
         for i, place in enumerate(outcomes):
-            usual, before = self._usual(place.fit), d.hypotheses[i].confirmed
-            fits = usual is not None and place.fit.score >= s.doubt_share * usual
-            count = max(before, 0) + 1 if fits else min(before, 0) - 1
+            before = d.hypotheses[i].confirmed
+            count = max(before, 0) + 1 if self.fits(place.fit) else min(before, 0) - 1
             d.hypotheses[i] = Hypothesis(place.T_local_lidar, place.fit.score, count)
         d.ambiguous |= sum(h.confirmed >= s.ambiguous_scans for h in d.hypotheses) > 1
         alive = [i for i, h in enumerate(d.hypotheses) if h.confirmed > -s.confirm_scans]

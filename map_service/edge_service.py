@@ -85,13 +85,12 @@ class EdgeFront:
             asyncio.create_task(self._reassure(worker, stream)),
             asyncio.create_task(self._watch(caller, stream)),
         ]
-        status = "cancelled"  # by the robot, the link or the proxy
         try:
             while not isinstance(item := await stream.outbox.get(), End):
                 self._metrics.sent_bytes.inc(by=len(item))
                 yield item
-            status = "ok" if item.status is None else item.status.name.lower()
         finally:
+            status = _how(stream.ending)
             for task in tasks:
                 task.cancel()
             stream.end()
@@ -190,6 +189,13 @@ class EdgeFront:
             assert isinstance(stream, RobotStream)
             stream.leave(pb.Drain(reason=pb.DRAIN_REASON_SHUTDOWN, replica=as_hint(str(address))))
             self._metrics.drained.inc("shutdown")
+
+
+def _how(ending: End | None) -> str:
+    """As a word; None: the robot, the link or the proxy went before it was ended from this side."""
+    if ending is None:
+        return "cancelled"
+    return "ok" if ending.status is None else ending.status.name.lower()
 
 
 def _as_told(denied: DeniedError) -> pb.Refused:

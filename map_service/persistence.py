@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +34,7 @@ class CommitLog:
     def __init__(self) -> None:
         self.last_seq = 0
         self._frames: list[FrameRecord] = []
+        self._frames_again: dict[int, Array] = {}
         self._keyframes: list[KeyframeRecord] = []
         self._factors = 0
         self._stored: list[Array] = []  # keyframe poses as the store has them
@@ -62,6 +64,12 @@ class CommitLog:
         if keyframe.index == len(self._stored):
             self._stored.append(T_map_lidar)
 
+    def place_again(self, poses: dict[int, Array]) -> None:
+        """Notes new T_keyframe_lidar (4, 4) by seq, of frames that a commit has taken or will take."""
+        self._frames = [replace(f, T_keyframe_lidar=poses.get(f.seq, f.T_keyframe_lidar)) for f in self._frames]
+        waiting = {f.seq for f in self._frames}
+        self._frames_again |= {seq: T for seq, T in poses.items() if seq not in waiting}
+
     def due(self, frames: int, seconds: float) -> bool:
         """Is it time to commit?"""
         if not self._frames:
@@ -80,10 +88,11 @@ class CommitLog:
                 self._stored[i] = now
         last_seq = self._frames[-1].seq if self._frames else self.last_seq
         factors = graph.records[self._factors :]
-        new = dict(outcomes - self._outcomes)
-        commit = Commit(self.last_seq, last_seq, self._frames, self._keyframes, factors, moved, tracker, places, new)
+        again, new = sorted(self._frames_again.items()), dict(outcomes - self._outcomes)
+        news = self._frames, self._keyframes, factors, moved, tracker, places, again, new
+        commit = Commit(self.last_seq, last_seq, *news)
         self.last_seq, self._factors, self._outcomes = last_seq, len(graph.records), outcomes
-        self._frames, self._keyframes = [], []
+        self._frames, self._keyframes, self._frames_again = [], [], {}
         return commit
 
     def resume(self, snapshot: Snapshot, outcomes: Counter[tuple[str, str]]) -> None:
@@ -110,6 +119,7 @@ def dump(pipeline: MapPipeline) -> bytes:
             "bad_frames": state.bad_frames,
             "carried_sigma": state.carried_sigma.tolist(),
             "doubt": pipeline.tracker.doubt.dump(),
+            "carried": pipeline.tracker.carried.dump(),
             "found": pipeline.found,
             "slip": pipeline.drift.slip.tolist(),
             "T_map_local": pipeline.T_map_local.tolist(),
@@ -157,6 +167,7 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     )
     if "doubt" in data:  # sessions of 0.1.0 have none
         pipeline.tracker.doubt.load(data["doubt"])
+        pipeline.tracker.carried.load(data.get("carried", []))
         pipeline.found = bool(data["found"])
     if pipeline.gnss is not None and data["gnss"] is not None:
         pipeline.gnss.load(data["gnss"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,10 +148,21 @@ class MapPipeline:
         jump = self.T_map_local @ T_found_carried @ se3.inv(self.T_map_local)
         self.T_map_odom = se3.orthonormalised(jump @ self.T_map_odom)
         self.found = True
+        self._place_again(track)
         moved = se3.inv(track.T_local_lidar) @ T_found_carried @ track.T_local_lidar
         correction = CorrectionRecord(Cause.RELOCALISE, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
         self.stats.correction(correction)
         return correction
+
+    def _place_again(self, track: Track) -> None:
+        """The scans that were carried while the robot was lost, as the map has them now; their answers are given."""
+        T_keyframe_local = se3.inv(self.graph.poses[-1]) @ self.T_map_local
+        again = {scan.seq: T_keyframe_local @ scan.T_local_lidar for scan in track.placed}
+        self.log.place_again(again)
+        for i in range(len(self.frames) - 1, -1, -1):
+            if (T := again.get(self.frames[i].seq)) is None:
+                break
+            self.frames[i] = replace(self.frames[i], T_keyframe_lidar=T)
 
     def _level(self, frame: FeatureFrame) -> Cause | None:
         """A step towards level, when `map` is not; the cause is `registration`, whose tilt has drifted or began so."""

@@ -119,6 +119,14 @@ def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
     ):
         if rows:
             connection.execute(insert(table), rows)
+    if commit.frames_again:
+        t = schema.frames
+        connection.execute(
+            update(t)
+            .where(t.c.session == key, t.c.seq == bindparam("number"), t.c.rejected == "")
+            .values(pose_keyframe_lidar=bindparam("pose")),
+            [{"number": seq, "pose": pack_pose(T)} for seq, T in commit.frames_again],
+        )
     if commit.keyframe_poses:
         t = schema.keyframes
         connection.execute(

@@ -38,6 +38,7 @@ class DoubtSettings(Model):
 
     level_gain: float = 0.1
     learn_scans: int = 10
+    lookout_scans: int = Field(default=3, description="least, for a robot that is looked for: it has nothing better")
     doubt_share: float = Field(default=0.75, description="below it other places are looked at")
     refuse_share: float = Field(default=0.5, description="below it the edge's motion carries the pose")
     patience_scans: int = Field(default=2, description="refused so often and once more, the robot is lost")

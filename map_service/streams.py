@@ -32,7 +32,7 @@ class RobotStream:
         self.durable_seq = 0
         self.opened = False  # the worker has said something
         self.answered_s = math.nan  # when a frame was answered last
-        self.ended = False
+        self.ending: End | None = None  # how it has ended from this side
         self._leaving: pb.Drain | None = None
         self._told = False
         self._slots = asyncio.Semaphore(window)
@@ -51,6 +51,10 @@ class RobotStream:
     def delay_s(self) -> float:
         """How long the oldest unanswered frame has waited."""
         return time.monotonic() - self._received_s[0] if self._received_s else 0.0
+
+    @property
+    def ended(self) -> bool:
+        return self.ending is not None
 
     async def admit(self) -> None:
         """Wait until the window has room: a robot that sends more than its credit is not read any further."""
@@ -104,6 +108,6 @@ class RobotStream:
 
     def end(self, status: grpc.StatusCode | None = None, detail: str = "") -> None:
         """After what is queued."""
-        if not self.ended:
-            self.ended = True
-            self.outbox.put_nowait(End(status, detail))
+        if self.ending is None:
+            self.ending = End(status, detail)
+            self.outbox.put_nowait(self.ending)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from map_service.carried import Carried, CarriedScans, Later
 from map_service.doubt import Doubt, Verdict
 from map_service.settings import TrackerSettings
 from map_service.types import State
@@ -29,6 +30,7 @@ class Track:
     """The tracker's answer: T_local_lidar (4, 4), how the registration went (None for the first frame).
 
     T_found_carried (4, 4): by which `local` jumped for the robot when it was found after having been lost.
+    placed: the scans that were carried until then, where they belong.
     """
 
     T_local_lidar: Array
@@ -39,6 +41,7 @@ class Track:
     surfs_lidar: NDArray[np.float32]
     first_again: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None  # keyframe 0, deskewed again
     T_found_carried: Array | None = None
+    placed: tuple[Carried, ...] = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -67,6 +70,7 @@ class Tracker:
         self.registration = Registration(settings.registration)
         self.search = WideSearch(settings.search, self.registration)
         self.doubt = Doubt(settings.doubt)
+        self.carried = CarriedScans()
         self.state: TrackerState | None = None
         self._start_accelerations = np.repeat([settings.start_rotation_radps2, settings.start_acceleration_mps2], 3)
         self._first: FeatureFrame | None = None
@@ -86,11 +90,13 @@ class Tracker:
             result, first_again = self._bootstrap(frame, state, result)
         self._first = None
         verdict = self.doubt.weigh(Fit.of(result))
-        unseen = frame.motion.covariance[3:, 3:].diagonal().max() > self.settings.unseen_m**2 and state.frames > 1
-        if (verdict != Verdict.TRUSTED or unseen) and self._is_elsewhere(frame, state, result):
+        if self._unseen(frame) and state.frames > 1 and self.doubt.can_tell(Fit.of(result)):
+            return self._appear(frame, state, result)
+        if verdict != Verdict.TRUSTED and self._is_elsewhere(frame, state, result):
             return self._carry(frame, state, result)
         if verdict == Verdict.REFUSED:
             return self._carry(frame, state, result)
+        self.carried.clear()
         track = self._accept(frame, state, result, trusted=verdict != Verdict.DOUBTED)
         return replace(track, first_again=first_again)
 
@@ -130,6 +136,8 @@ class Tracker:
             hole_s=0.0,
             carried_sigma=sigma,
         )
+        if lost:
+            self.carried.add(frame, T)
         result = RegistrationResult.without_features(T, covariance)
         status = State.TRACKING if motion.velocity_known else State.INITIALISING
         if lost or sigma[3:].max() > self.settings.carried_m:
@@ -150,14 +158,19 @@ class Tracker:
         prediction = Prediction(
             state.T_local_lidar @ T_prev_lidar, information, interval_s, float(sigmas[:3].max()), sigmas[3:]
         )
+        # after a hole the prediction's error says nothing about this scan
+        again = self.redeskew and not state.hole_s and not state.carried_sigma.any()
+        return self._register(frame, prediction, base, again)
+
+    def _register(self, frame: FeatureFrame, prediction: Prediction, base: Array, again: bool) -> RegistrationResult:
+        """base (6,): what the scan is deskewed by before, on top of the edge's twist; again: and while it converges."""
         result = self.registration.align(
             self.local_map,
             _again(frame.corners, base),
             _again(frame.surfs, base),
             (_seconds(frame.corners), _seconds(frame.surfs)),
             prediction,
-            # after a hole the prediction's error says nothing about this scan
-            self.redeskew and not state.hole_s and not state.carried_sigma.any(),
+            again,
         )
         return replace(result, delta_twist=result.delta_twist + base)
 
@@ -192,6 +205,10 @@ class Tracker:
                 break
         return result, points
 
+    def _unseen(self, frame: FeatureFrame) -> bool:
+        """Did nobody measure how the robot came to this scan?"""
+        return bool(frame.motion.covariance[3:, 3:].diagonal().max() > self.settings.unseen_m**2)
+
     # --- doubt ------------------------------------------------------------------------------------------------
 
     def _is_elsewhere(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult) -> bool:
@@ -204,6 +221,13 @@ class Tracker:
         self.doubt.consider(places)
         return True
 
+    def _appear(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult) -> Track:
+        """Nobody saw how the robot came here: however well the scan fits at once, the next ones have to agree."""
+        places = self.search.places(self.local_map, frame, result.T_local_lidar)
+        self.doubt.lose(state.T_local_lidar)
+        self.doubt.consider([self.search.at(self.local_map, frame, result.T_local_lidar), *places])
+        return self._carry(frame, state, result)
+
     def _look_around(self, frame: FeatureFrame, before: TrackerState, state: TrackerState) -> Track:
         """Lost: follows the places where the robot may be, and looks for more; `state` is `before` across a hole."""
         doubt = self.doubt
@@ -215,7 +239,8 @@ class Tracker:
         if found is not None:
             doubt.found()
             track = self._accept(frame, replace(there[found], bad_frames=0), results[found])
-            return replace(track, T_found_carried=track.T_local_lidar @ se3.inv(T_carried))
+            placed = self._place_carried(frame, T_carried)
+            return replace(track, T_found_carried=track.T_local_lidar @ se3.inv(T_carried), placed=placed)
         if (centre := doubt.next_centre(T_carried)) is not None:
             doubt.consider(self.search.places(self.local_map, frame, centre))
         return self._carry(frame, state, results[0] if results else self._align(frame, state))
@@ -225,6 +250,9 @@ class Tracker:
         doubt, motion = self.doubt, frame.motion
         T = state.T_local_lidar @ motion.T_prev_lidar
         covariance = doubt.carry(motion.T_prev_lidar, motion.covariance)
+        if self._unseen(frame):  # how those before it were carried has nothing to do with it
+            self.carried.clear()
+        self.carried.add(frame, T)
         result = replace(result, T_local_lidar=T, covariance=covariance, degenerate_axes=np.eye(6))
         status = State.DEGENERATE
         if doubt.state.lost:
@@ -242,6 +270,37 @@ class Tracker:
             carried_sigma=np.zeros(6),
         )
         return Track(T, result, status, False, frame.corners.points_lidar, frame.surfs.points_lidar)
+
+    def _place_carried(self, found: FeatureFrame, T_carried: Array) -> tuple[Carried, ...]:
+        """The scans before `found`, which has just been accepted and had been carried to T_carried (4, 4)."""
+        assert self.state is not None
+        newest = Later(found, self.state.stamp_ns, self.state.T_local_lidar, self.state.twist)
+        placed = tuple(self.carried.placed(newest, T_carried, self._place_before))
+        self.carried.clear()
+        return placed
+
+    def _place_before(self, frame: FeatureFrame, later: Later) -> Array | None:
+        """`_align` backwards in time: the pose of a scan by the one after it, None where the map denies it."""
+        assert later.frame is not None
+        interval_s = max((later.stamp_ns - frame.stamp_ns) * 1e-9, 1e-3)
+        after, motion, s = later.frame.motion, frame.motion, self.settings
+        T_this_later, base = after.T_prev_lidar, np.zeros(6)
+        sigmas = np.sqrt(np.maximum(np.diag(after.covariance), 1e-12)) / interval_s
+        if not after.velocity_known:  # the way is the server's to know; the turn the IMU's, if there is one
+            T_this_later = se3.exp(later.twist * interval_s)
+            if after.gravity_sigma_rad < NO_IMU_SIGMA_RAD:
+                T_this_later[:3, :3] = after.T_prev_lidar[:3, :3]
+            sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
+        if self.redeskew and not motion.velocity_known:
+            base[3:] = later.twist[3:] - motion.velocity_lidar_mps
+        T = later.T_local_lidar @ se3.inv(T_this_later)
+        if not (len(frame.corners) or len(frame.surfs)):
+            return T
+        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
+        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + floors**2))
+        prediction = Prediction(T, information, interval_s, float(sigmas[:3].max()), sigmas[3:])
+        result = self._register(frame, prediction, base, self.redeskew)
+        return result.T_local_lidar if self.doubt.fits(Fit.of(result)) else T
 
     # --- outcome ----------------------------------------------------------------------------------------------
 
@@ -292,6 +351,7 @@ class Tracker:
     def move(self, T_new_local: Array) -> None:
         """`local` is renamed: everything the tracker holds moves along."""
         self.doubt.move(T_new_local)
+        self.carried.move(T_new_local)
         if self.state is not None:
             T = se3.orthonormalised(T_new_local @ self.state.T_local_lidar)
             self.state = replace(

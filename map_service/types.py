@@ -116,6 +116,7 @@ class Commit:
     keyframe_poses: list[tuple[int, NDArray[np.float64]]]  # corrected since: (index, T_map_lidar)
     tracker: bytes  # pipeline state needed to go on after last_seq, versioned
     places: list[tuple[int, bytes]] = field(default_factory=list)  # (keyframe, descriptor as places.py packs it)
+    frames_again: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)  # (seq, T_keyframe_lidar)
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)  # (metric, label) of what was tried since
 
 

@@ -7,6 +7,8 @@ Formulas: Sola et al., "A micro Lie theory for state estimation in robotics", 20
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,7 +84,8 @@ def adjoint(T: Array) -> Array:
 
 def angle(T: Array) -> float:
     """Rotation angle of T, rad (also takes a (3, 3) rotation)."""
-    return float(np.linalg.norm(so3_log(T[:3, :3])))
+    (a, b, c), (d, e, f), (g, h, i) = T[:3, :3].tolist()
+    return math.atan2(math.hypot(h - f, c - g, d - b), a + e + i - 1.0)
 
 
 def quat_from_matrix(R: Array) -> Array:

@@ -1,5 +1,5 @@
-"""Kernels of projection, curvature and selection. Source of every formula: LIO-SAM, imageProjection.cpp and
-featureExtraction.cpp, as the paper's Image and Feature nodes run them."""
+"""Kernels of curvature and selection. Source of every formula: LIO-SAM, featureExtraction.cpp, as the
+paper's Feature node runs it."""
 
 from __future__ import annotations
 
@@ -9,109 +9,6 @@ import numpy as np
 from numba import njit
 
 FASTMATH = {"contract", "nsz"}
-ARCTANGENTS = np.array([round(math.atan(2.0**-i) / (2.0 * math.pi) * 2.0**27) for i in range(22)])  # of 2^-27 turns
-NEAR_RAD = 2e-6  # the CORDIC errs by at most 0.9e-6
-
-
-@njit(cache=True, nogil=True)
-def to_steps(v):
-    """A coordinate in steps of 2^-14 m, halves rounded away from zero: what the programmable logic sees."""
-    whole = np.floor(abs(np.float64(v)) * 16384.0 + 0.5)
-    return whole if v >= 0.0 else -whole
-
-
-@njit(cache=True, nogil=True)
-def cordic_azimuth(x, y):
-    """Angle of (x, y), whole steps below 2^23, in 2^-27 turns: to the bit what the logic's CORDIC finds."""
-    largest = max(abs(x), abs(y))
-    if largest == 0:
-        return np.int64(0)
-    while largest < 1 << 22:
-        largest, x, y = largest << 1, x << 1, y << 1
-    angle = np.int64(1 << 26 if x < 0 else 0)
-    u, v = abs(x) << 2, (-y if x < 0 else y) << 2
-    for i in range(22):
-        if v < 0:
-            u, v, angle = u - (v >> i), v + (u >> i), angle - ARCTANGENTS[i]
-        else:
-            u, v, angle = u + (v >> i), v - (u >> i), angle + ARCTANGENTS[i]
-    return ((angle + (1 << 26)) & ((1 << 27) - 1)) - (1 << 26)
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def column_of(x, y, columns):
-    """The column of a point, by LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2.
-
-    The angle in it is minus the azimuth. x, y in m. Near the edge of a column as the logic has it, which is to the bit.
-    """
-    a, b = to_steps(x), to_steps(y)
-    per_rad = columns / (2.0 * math.pi)
-    v = math.atan2(b, a) * per_rad
-    edge = abs(v) + 0.5
-    whole = np.int64(edge)
-    if abs(edge - np.floor(edge + 0.5)) < NEAR_RAD * per_rad and abs(a) < 8388608.0 and abs(b) < 8388608.0:
-        angle = cordic_azimuth(np.int64(a), np.int64(b)) * columns
-        whole, v = (abs(angle) + (1 << 26)) >> 27, np.float64(angle)
-    column = columns // 2 + (whole if v >= 0.0 else -whole)
-    if column < 0:  # of an odd number of columns
-        column += columns
-    return column - columns if column >= columns else column
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def project(points, ring, cells, counts):
-    """cells (rings, columns) int32: index of the first point of each cell, -1 where there is none.
-
-    counts (2,) int64: points dropped because the cell was taken, because the ring does not exist.
-    """
-    rings, columns = cells.shape
-    cells[:] = -1
-    counts[:] = 0
-    for i in range(len(points)):
-        row = ring[i]
-        if row >= rings:
-            counts[1] += 1
-            continue
-        column = column_of(points[i, 0], points[i, 1], columns)
-        if cells[row, column] >= 0:
-            counts[0] += 1
-        else:
-            cells[row, column] = i
-
-
-@njit(cache=True, nogil=True)
-def range_units(x, y, z):
-    """Range in 1/1024 m, rounded down, of coordinates that are first rounded to 2^-14 m; 1 to 2^18 - 1 (256 m).
-
-    In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
-    """
-    a, b, c = to_steps(x), to_steps(y), to_steps(z)
-    units = np.int64(math.sqrt(np.floor((a * a + b * b + c * c) / 256.0)))
-    return min(max(units, 1), 262143)
-
-
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def gather(cells, points, out_points, out_range, out_column, source, ring_start):
-    """Lays the cells' points out by ring, then column; ring_start (rings + 1,). Returns how many there are.
-
-    source (M,) int32 is each point's index in the scan; out_range (M,) int32 its range, 1/1024 m.
-    """
-    rings, columns = cells.shape
-    n = 0
-    for row in range(rings):
-        ring_start[row] = n
-        for column in range(columns):
-            i = cells[row, column]
-            if i < 0:
-                continue
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            out_points[n, 0], out_points[n, 1], out_points[n, 2] = x, y, z
-            out_range[n] = range_units(x, y, z)
-            out_column[n] = column
-            source[n] = i
-            n += 1
-    ring_start[rings] = n
-    return n
 
 
 @njit(cache=True, nogil=True)
@@ -237,59 +134,98 @@ def select_corners(d, marks, column, picked, ring_start, sectors, largest, rank)
     return total
 
 
+@njit(cache=True, nogil=True)
+def voxel_key(row, ix, iy, iz):
+    """One number for ring and voxel: 8 and three times 18 bits, which reach 52 km at 0.4 m."""
+    return (np.int64(row) << 54) | ((ix & 0x3FFFF) << 36) | ((iy & 0x3FFFF) << 18) | (iz & 0x3FFFF)
+
+
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def thin_surfs(points, rank, ring_start, leaf_m, table, sums, slot_of, kept):
+def thin_surfs(points, rank, ring_start, leaf_m, table, sums, voxel_of, kept):
     """Per ring and voxel the point nearest to the centroid of the voxel's surf points (all that are no corner).
 
-    table (S, 4) int64, S a power of two >= twice the points of a ring: stamp and voxel of each slot; its first column
-    may hold anything below the stamps, which start at 1 and rise. sums (S, 5) float64: x y z count, best distance.
-    slot_of (N,) int32 scratch. kept (N,) uint8: 1 for the points that stay.
+    table (S, 2) int64, S a power of two >= twice the points of a ring: key and voxel of each slot, of the ring at hand
+    or of one before. sums (V, 6) float64, V the points of a ring: x y z count of each voxel, 1 + index of its best
+    point so far and that one's squared distance. voxel_of (N,) int32 scratch. kept (N,) uint8: 1 for the points that
+    stay. Returns how many.
     """
     kept[:] = 0
-    table[:, 0] = 0
+    table[:, 0] = -1
     mask = len(table) - 1
     inverse = 1.0 / leaf_m
+    total = 0
     for row in range(len(ring_start) - 1):
         start, end = ring_start[row] + 5, ring_start[row + 1] - 6
+        before, voxel, voxels = np.int64(-1), np.int64(0), np.int64(0)
         for i in range(start, end):
             if rank[i] > 0:
                 continue
             ix = np.int64(math.floor(points[i, 0] * inverse))
             iy = np.int64(math.floor(points[i, 1] * inverse))
             iz = np.int64(math.floor(points[i, 2] * inverse))
-            s = (ix * 73856093 ^ iy * 19349669 ^ iz * 83492791) & mask
-            while table[s, 0] == row + 1 and (table[s, 1] != ix or table[s, 2] != iy or table[s, 3] != iz):
-                s = (s + 1) & mask
-            if table[s, 0] != row + 1:
-                table[s, 0], table[s, 1], table[s, 2], table[s, 3] = row + 1, ix, iy, iz
-                sums[s, :] = 0.0
-            sums[s, 0] += points[i, 0]
-            sums[s, 1] += points[i, 1]
-            sums[s, 2] += points[i, 2]
-            sums[s, 3] += 1.0
-            slot_of[i] = s
-        nearest_to_centroids(points, rank, (start, end), sums, slot_of, kept)
+            key = voxel_key(row, ix, iy, iz)
+            if key != before:  # neighbours mostly share a voxel
+                before, slot = key, (ix * 73856093 ^ iy * 19349669 ^ iz * 83492791) & mask
+                while table[slot, 0] != key and table[slot, 0] >> 54 == row:
+                    slot = (slot + 1) & mask
+                if table[slot, 0] != key:
+                    table[slot, 0], table[slot, 1] = key, voxels
+                    sums[voxels, :] = 0.0
+                    voxels += 1
+                voxel = table[slot, 1]
+            sums[voxel, 0] += points[i, 0]
+            sums[voxel, 1] += points[i, 1]
+            sums[voxel, 2] += points[i, 2]
+            sums[voxel, 3] += 1.0
+            voxel_of[i] = voxel
+        nearest_to_centroids(points, rank, (start, end), sums, voxel_of, kept)
+        total += voxels
+    return total
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def nearest_to_centroids(points, rank, span, sums, slot_of, kept):
-    """Second half of thin_surfs for one ring: sums[:, 4] ends as 1 + index of the voxel's best point."""
-    best_d2 = np.empty(span[1] - span[0] if span[1] > span[0] else 0, np.float64)
+def nearest_to_centroids(points, rank, span, sums, voxel_of, kept):
+    """Second half of thin_surfs for one ring."""
+    at, x, y, z = np.int64(-1), 0.0, 0.0, 0.0
     for i in range(span[0], span[1]):
         if rank[i] > 0:
             continue
-        s = slot_of[i]
-        d2 = 0.0
-        for c in range(3):
-            d = points[i, c] - sums[s, c] / sums[s, 3]
-            d2 += d * d
-        best_d2[i - span[0]] = d2
+        s = np.int64(voxel_of[i])
+        if s != at:
+            at, x, y, z = s, sums[s, 0] / sums[s, 3], sums[s, 1] / sums[s, 3], sums[s, 2] / sums[s, 3]
+        dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
+        d2 = dx * dx + dy * dy + dz * dz
         best = np.int64(sums[s, 4]) - 1
-        if best < 0 or d2 < best_d2[best - span[0]]:
+        if best < 0 or d2 < sums[s, 5]:
             if best >= 0:
                 kept[best] = 0
             kept[i] = 1
-            sums[s, 4] = i + 1.0
+            sums[s, 4], sums[s, 5] = i + 1.0, d2
+
+
+@njit(cache=True, nogil=True)
+def sharpest(rank, target, chosen):
+    """chosen[i] = 1 for `target` corners: the first of every sector, then the second of each, until there are enough.
+
+    rank (N,): see corners_of_sector. Of the rank that does not fit as a whole, an even share. Returns how many.
+    """
+    counts = np.zeros(np.int64(rank.max()) + 2 if len(rank) else 2, np.int64)
+    for i in range(len(rank)):
+        counts[rank[i]] += 1
+    last, left = 1, np.int64(target)
+    while last < len(counts) and counts[last] <= left:
+        left -= counts[last]
+        last += 1
+    share, carry, total = left if last < len(counts) else np.int64(0), np.int64(0), 0
+    for i in range(len(rank)):
+        chosen[i] = 0 < rank[i] < last
+        if rank[i] == last:
+            carry += share
+            if carry >= counts[last]:
+                carry -= counts[last]
+                chosen[i] = 1
+        total += chosen[i]
+    return total
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -299,13 +235,14 @@ def spread(keep, target, chosen):
     for i in range(len(keep)):
         n += 1 if keep[i] else 0
     wanted = min(target, n)
-    k = 0
+    carry = 0
     for i in range(len(keep)):
         chosen[i] = 0
         if keep[i]:
-            if (k + 1) * wanted // n > k * wanted // n:
+            carry += wanted
+            if carry >= n:
+                carry -= n
                 chosen[i] = 1
-            k += 1
     return wanted
 
 
@@ -359,7 +296,7 @@ def facing(points, column, ring_start, keep, group):
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def spread_by_group(keep, group, target, chosen):
     """`spread`, but `target` is divided evenly among the groups (0..10) first; what small ones lack goes to others."""
-    counts, quotas, seen = np.zeros(11, np.int64), np.zeros(11, np.int64), np.zeros(11, np.int64)
+    counts, quotas, carry = np.zeros(11, np.int64), np.zeros(11, np.int64), np.zeros(11, np.int64)
     for i in range(len(keep)):
         if keep[i]:
             counts[group[i]] += 1
@@ -379,8 +316,9 @@ def spread_by_group(keep, group, target, chosen):
         chosen[i] = 0
         if keep[i]:
             g = group[i]
-            if (seen[g] + 1) * quotas[g] // counts[g] > seen[g] * quotas[g] // counts[g]:
+            carry[g] += quotas[g]
+            if carry[g] >= counts[g]:
+                carry[g] -= counts[g]
                 chosen[i] = 1
                 total += 1
-            seen[g] += 1
     return total

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent.features import _kernels as kernels
+from edge_agent.features import _projection_kernels as kernels
 from splitslam.scan import Scan
 
 

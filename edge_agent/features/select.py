@@ -30,11 +30,11 @@ class Selector:
         self._kept = np.empty(cells, np.uint8)
         self._chosen = np.empty(cells, np.uint8)
         self._group = np.empty(cells, np.uint8)
-        self._slot_of = np.empty(cells, np.int32)
+        self._voxel_of = np.empty(cells, np.int32)
         self._wanted = (0, 0)
         slots = 1 << (2 * columns - 1).bit_length()
-        self._table = np.empty((slots, 4), np.int64)
-        self._sums = np.empty((slots, 5))
+        self._table = np.empty((slots, 2), np.int64)
+        self._sums = np.empty((columns, 6))
 
     def find(self, image: Image, found: FeatureMarks, dense: bool, times: float = 1.0) -> int:
         """Looks for the features of an image of deskewed points; how many a frame of that kind would carry.
@@ -46,14 +46,13 @@ class Selector:
         corners = kernels.select_corners(
             found.d, found.marks, image.column, picked, image.ring_start, s.sectors, s.corners_per_sector, rank
         )
-        kernels.thin_surfs(
-            image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._slot_of[:n], kept
+        surfs = kernels.thin_surfs(
+            image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._voxel_of[:n], kept
         )
-        surfs = int(np.count_nonzero(kept))
         self._wanted = (corners, surfs)
         if not dense:
             self._wanted = (min(corners, round(times * s.sparse_corners)), min(surfs, round(times * s.sparse_surfs)))
-        return sum(self._wanted)
+        return int(sum(self._wanted))
 
     def choose(
         self, image: Image, found: FeatureMarks, dense: bool, share: float = 1.0
@@ -76,16 +75,9 @@ class Selector:
 
     def _sharpest(self, rank: NDArray[np.unsignedinteger], target: int) -> NDArray[np.int64]:
         """The sharpest of every sector first, then the second of each, until there are enough."""
-        per_rank = np.bincount(rank, minlength=self.settings.corners_per_sector + 1)
-        per_rank[0] = 0
-        total = np.cumsum(per_rank)
-        last = int(np.searchsorted(total, target, side="right"))  # the first rank that does not fit as a whole
-        whole = (rank > 0) & (rank < last)
-        if last < len(total):
-            chosen = self._chosen[: len(rank)]
-            kernels.spread((rank == last).astype(np.uint8), target - int(total[last - 1]), chosen)
-            whole |= chosen.view(bool)
-        return np.flatnonzero(whole)
+        chosen = self._chosen[: len(rank)]
+        kernels.sharpest(rank, target, chosen)
+        return np.flatnonzero(chosen)
 
     def _facing_all_ways(
         self, image: Image, kept: NDArray[np.uint8], found: FeatureMarks, target: int

@@ -62,6 +62,35 @@ def integrate(stamps_ns, gyro, accel, bias, gravity_mps2, states):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
+def window(own_ns, values, span, stamps_ns, gyro, accel):
+    """Fills stamps_ns (M,), gyro, accel (M, 3): own samples inside a span, its ends interpolated, or held outside.
+
+    own_ns (N,), values (N, 6), gyro first. span: (index of the first sample inside, start, end), ns.
+    """
+    first, start_ns, end_ns = span
+    m = len(stamps_ns)
+    for k in range(m):
+        t = start_ns if k == 0 else end_ns
+        after = first
+        if 0 < k < m - 1:
+            after = first + k - 1
+            t = own_ns[after]
+        else:
+            while after < len(own_ns) and own_ns[after] < t:
+                after += 1
+            if k == 0 and after > 0 and own_ns[after - 1] == t:
+                after -= 1
+        stamps_ns[k] = t
+        i = min(after, len(own_ns) - 1)
+        j, share = max(after - 1, 0), 0.0  # of the sample before
+        if own_ns[i] > t and i > j:
+            share = (own_ns[i] - t) / (own_ns[i] - own_ns[j])
+        for c in range(3):
+            gyro[k, c] = (1.0 - share) * values[i, c] + share * values[j, c]
+            accel[k, c] = (1.0 - share) * values[i, 3 + c] + share * values[j, 3 + c]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
 def place(states, out):
     """out (M, 12) row-major 3x4 of the poses in states (M, 15)."""
     for k in range(len(states)):

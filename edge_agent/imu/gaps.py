@@ -7,6 +7,9 @@ So everything that integrates goes on, and the answers of the map service carry 
 
 from __future__ import annotations
 
+from collections import deque
+from statistics import median
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +27,9 @@ class Gaps:
     """Knows the IMU's period and remembers where it was silent. count, seconds: of all gaps so far."""
 
     def __init__(self, rate_hz: float) -> None:
-        self._periods_ns = np.array([int(1e9 / rate_hz)])
+        self._periods_ns: deque[int] = deque([int(1e9 / rate_hz)], _KEPT)
+        self._longest_ns = self._longest()
+        self._unheard = 0  # periods since that was found
         self._last_ns: int | None = None
         self._intervals: list[tuple[int, int]] = []
         self._filled_ns = 0
@@ -32,14 +37,20 @@ class Gaps:
 
     def seen(self, stamps_ns: NDArray[np.int64]) -> None:
         """Takes the stamps of real samples."""
-        before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
-        periods = np.diff(np.concatenate([before, stamps_ns]))
-        self._periods_ns = np.concatenate([self._periods_ns, periods[periods > 0]])[-_KEPT:]
-        self._last_ns = int(stamps_ns[-1])
+        for stamp_ns in stamps_ns.tolist():
+            if self._last_ns is not None and stamp_ns > self._last_ns:
+                self._periods_ns.append(stamp_ns - self._last_ns)
+                self._unheard += 1
+            self._last_ns = stamp_ns
 
     def between(self, last_ns: int, next_ns: int) -> bool:
         """Is so long a time without samples a gap?"""
-        return next_ns - last_ns > max(_SHORTEST_NS, _PERIODS * int(np.median(self._periods_ns)))
+        if 4 * self._unheard >= len(self._periods_ns):  # a median hardly changes with fewer
+            self._longest_ns, self._unheard = self._longest(), 0
+        return next_ns - last_ns > self._longest_ns
+
+    def _longest(self) -> int:
+        return max(_SHORTEST_NS, _PERIODS * int(median(self._periods_ns)))
 
     def remember(self, start_ns: int, end_ns: int) -> None:
         """A gap was filled, or a further piece of one while the IMU is still silent."""

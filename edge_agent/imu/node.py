@@ -8,7 +8,6 @@ the corrected state a little with each sample.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from edge_agent.imu import _kernels as kernels
 from edge_agent.imu.buffer import ImuBuffer, ImuWindow
 from edge_agent.imu.gaps import Gaps, carried_on
 from edge_agent.imu.graph import ImuNoise, LocalGraph, NavigationState
+from edge_agent.imu.history import PoseHistory
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.wheel_factor import WheelVelocity
 from edge_agent.imu.wheels import WheelAid
@@ -62,7 +62,10 @@ class ImuNode:
         self._live_P = np.eye(3)  # of the velocity, in `odom`
         self._live_wheel_ns = 0
         self._output = np.eye(4)[:3].reshape(-1)  # T_odom_imu as it was given out, at _live_ns
-        self._history: deque[tuple[int, Array]] = deque()
+        self._history = PoseHistory(int(settings.history_s * 1e9))
+        limits = settings.blend_time_s, settings.blend_max_radps, settings.blend_max_mps
+        self._limits = np.array([*limits, settings.blend_step_rad, settings.blend_step_m])
+        self._lever_m = self.T_imu_lidar[:3, 3].copy()
         self._previous_scan_ns: int | None = None
         self._tilt_sigma_rad = 0.1
 
@@ -99,17 +102,12 @@ class ImuNode:
         states = self._integrate(window, self._live[0], self._live_wheel_ns, self._live_P)
         wanted, output, poses = np.empty((3, len(states), 12))
         kernels.place(states, wanted)
-        s = self.settings
-        limits = np.array([s.blend_time_s, s.blend_max_radps, s.blend_max_mps, s.blend_step_rad, s.blend_step_m])
         output[0] = self._output
-        kernels.follow(window.stamps_ns, wanted, limits, self.T_imu_lidar[:3, 3].copy(), output, self._worst)
+        kernels.follow(window.stamps_ns, wanted, self._limits, self._lever_m, output, self._worst)
         kernels.emit(output, self.T_imu_lidar, poses)
         self._live, self._live_ns, self._output = states[-1:].copy(), end_ns, output[-1].copy()
         self._live_wheel_ns = self._wheels_read(end_ns)
-        for stamp_ns, pose in zip(window.stamps_ns[1:], poses[1:], strict=True):
-            self._history.append((int(stamp_ns), pose))
-        while self._history and self._history[0][0] < end_ns - s.history_s * 1e9:
-            self._history.popleft()
+        self._history.append(window.stamps_ns[1:], poses[1:])
         return _odom_poses(window.stamps_ns[1:], poses[1:], states[1:, 12:])
 
     @property
@@ -127,17 +125,7 @@ class ImuNode:
 
     def T_odom_lidar_at(self, stamp_ns: int) -> Array:
         """The pose (4, 4) that was given out for `stamp_ns`, interpolated between IMU samples."""
-        history = self._history
-        if not history:
-            return np.eye(4)
-        after = len(history) - 1
-        while after > 0 and history[after - 1][0] >= stamp_ns:
-            after -= 1
-        T_after = _matrix(history[after][1])
-        if after == 0 or history[after][0] <= stamp_ns:
-            return T_after
-        (a, before), b = history[after - 1], history[after][0]
-        return se3.interpolate(_matrix(before), T_after, (stamp_ns - a) / (b - a))
+        return self._history.at(stamp_ns)
 
     def add_wheels(self, samples: WheelSamples) -> None:
         """Takes wheel odometry, newer than all before; without the robot file's `wheels` it is not asked."""
@@ -201,6 +189,8 @@ class ImuNode:
         if self.wheels is None:
             P += np.eye(3) * noise.accel_mps2_rthz**2 * (start_ns - anchor.stamp_ns) * 1e-9
         covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, R.T @ P @ R, noise)
+        if start_ns - anchor.stamp_ns > self.settings.history_s * 1e9:
+            self._go_on_from(start_ns, states[here], P)
         lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
         velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
         return Motion(
@@ -212,6 +202,20 @@ class ImuNode:
             gravity_sigma_rad=_UNKNOWN_TILT_RAD if self.gaps.overlap(previous_ns, end_ns) else anchor.tilt_sigma_rad,
             velocity_known=self._answers >= 2,
         )
+
+    def _go_on_from(self, stamp_ns: int, row: Array, velocity_covariance: Array) -> None:
+        """Nobody has said for long where the robot is: what was integrated so far is not integrated again."""
+        anchor = self._anchor
+        assert anchor is not None
+        T_odom_imu = se3.compose(row[:9].reshape(3, 3), row[9:12])
+        self._anchor = replace(
+            anchor,
+            stamp_ns=stamp_ns,
+            T_odom_imu=T_odom_imu,
+            velocity_mps=row[12:].copy(),
+            velocity_covariance=velocity_covariance,
+        )
+        self._started = False
 
     def _lidar_pose(self, row: Array) -> Array:
         return se3.compose(row[:9].reshape(3, 3), row[9:12]) @ self.T_imu_lidar
@@ -274,7 +278,7 @@ class ImuNode:
         self._output = T_odom_imu[:3].reshape(-1)
         self._live_P = self._anchor.velocity_covariance.copy()
         self._live_wheel_ns = self._wheels_after(self._anchor)
-        self._history.append((start_ns, T_odom_lidar[:3].reshape(-1).copy()))
+        self._history.append(np.array([start_ns]), T_odom_lidar[None, :3].reshape(1, 12))
         if self.buffer.last_ns > start_ns:
             self._propagate(self.buffer.last_ns)
 
@@ -310,10 +314,13 @@ class ImuNode:
         anchor = self._anchor
         if anchor is None or reply.rejected:
             return
-        if self._started and reply.stamp_ns <= anchor.stamp_ns:
+        if reply.stamp_ns < anchor.stamp_ns or (self._started and reply.stamp_ns == anchor.stamp_ns):
             return
         T_odom_lidar = self.T_odom_lidar_at(reply.stamp_ns)
         T_server_imu = se3.inv(reply.T_map_odom) @ reply.T_map_lidar @ self.T_lidar_imu
+        if not self._started and len(reply.degenerate_axes) == 6:  # a pose that was carried knows nothing of the motion
+            self._hear(reply, T_odom_lidar)
+            return
         if (self._blind and self._level_late(reply.stamp_ns)) or not self._started:
             self._start_graph(reply.stamp_ns, T_server_imu)
         else:
@@ -330,6 +337,9 @@ class ImuNode:
                 self._restart(reply.stamp_ns, anchor, T_server_imu)
         self._answers += 1
         self._take(self.graph.state)
+        self._hear(reply, T_odom_lidar)
+
+    def _hear(self, reply: OdometryReply, T_odom_lidar: Array) -> None:
         self.T_map_odom = reply.T_map_lidar @ se3.inv(T_odom_lidar)
         self.covariance, self.state = reply.covariance, reply.state
 
@@ -375,12 +385,6 @@ class ImuNode:
 
 def _row(state: NavigationState) -> Array:
     return np.concatenate([state.T_odom_imu[:3, :3].reshape(-1), state.T_odom_imu[:3, 3], state.velocity_mps])
-
-
-def _matrix(pose: Array) -> Array:
-    T = np.eye(4)
-    T[:3] = pose.reshape(3, 4)
-    return T
 
 
 def _no_poses() -> OdomPoses:

@@ -2,8 +2,9 @@
 
 The Imu node is given poses of one frame, `steady`, that never jumps. With the service connected, `steady` is the
 service's odometry frame (inv(T_map_odom) @ T_map_lidar). In an outage the edge's odometry goes on in it, from the
-service's own poses of the last scans. When the service is back, its frame lies where the two disagree by the drift of
-the outage: T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing of it.
+service's own poses of the last scans; where none has ever come, from the first scan on, level. When the service is
+back, its frame lies where the two disagree by the drift of the outage: T_steady_server. `map` takes that difference,
+and the robot's `odom` knows nothing of it.
 """
 
 from __future__ import annotations
@@ -73,6 +74,7 @@ class Outages:
         self._T_map_steady = np.eye(4)  # when the outage began
         self._joined = 0  # answers that have said so, in this outage
         self._begun_ns = self._newest_ns = 0
+        self._anchored = True  # False: the service has not said yet where the robot is
 
     # --- frames -----------------------------------------------------------------------------------------------
 
@@ -97,12 +99,26 @@ class Outages:
         return frame.stamp_ns if self._clock_ns is None else self._clock_ns()
 
     def _is_outage(self, now_ns: int) -> bool:
-        if self._last is None or not self._ring.keyframes or len(self._unanswered) < self.settings.unanswered:
+        if len(self._unanswered) < self.settings.unanswered:
             return False
-        oldest_ns, _ = next(iter(self._unanswered.values()))
-        return now_ns - oldest_ns >= self.settings.after_s * 1e9
+        silent_s = (now_ns - next(iter(self._unanswered.values()))[0]) * 1e-9
+        if self._ring.keyframes:
+            return silent_s >= self.settings.after_s
+        # a service that is just starting is worth waiting for
+        return self._knows_nothing and self._can_stand_alone and silent_s >= self.settings.first_after_s
+
+    @property
+    def _knows_nothing(self) -> bool:
+        """No answer has come that says where the robot is."""
+        return self._last is None or self._last.state in (LOCALISING, LOST)
+
+    @property
+    def _can_stand_alone(self) -> bool:
+        return any(self._ring.wants(frame) for _, frame in self._unanswered.values())
 
     def _begin(self) -> None:
+        if not self._ring.keyframes:
+            self._stand_alone()
         last = self._last
         assert last is not None
         self.alone, self.count, self._begun_ns = True, self.count + 1, last.stamp_ns
@@ -113,6 +129,17 @@ class Outages:
         )
         self._joined = 0
         self._to_place.extend(frame for _, frame in self._unanswered.values())
+
+    def _stand_alone(self) -> None:
+        """`steady`, and `map` until the service says, begin at the oldest dense scan."""
+        _, (_, frame) = self._unanswered.popitem(last=False)
+        while not self._ring.wants(frame):
+            _, (_, frame) = self._unanswered.popitem(last=False)
+        T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))
+        covariance = np.diag(np.repeat([frame.motion.gravity_sigma_rad**2, 1e-8], 3))
+        self._ring.add(frame, T, covariance)
+        self._last = OdometryReply(frame.seq, frame.stamp_ns, T, np.eye(4), covariance, UNANCHORED, np.zeros((0, 6)))
+        self._anchored = False
 
     def _place(self, frame: FeatureFrame) -> OdometryReply:
         placement = self._matching.place(frame)
@@ -163,13 +190,16 @@ class Outages:
         """An answer during an outage: old ones say nothing of now; late ones where `map` is; a fresh one ends it."""
         s, placement = self.settings, self._placed.get(reply.seq)
         age_s = (self._newest_ns - reply.stamp_ns) * 1e-9
-        if placement is None or age_s > s.late_s:
+        if placement is None or age_s > s.late_s or reply.state in (LOCALISING, LOST):
             return None
         self._join(placement, se3.inv(reply.T_map_odom) @ reply.T_map_lidar)
         self._last = self._steady(reply)
         if age_s > s.back_s:
             return None
         self._end()
+        if not self._anchored:  # where the robot was is news, no correction
+            self._anchored = True
+            return None
         moved = se3.inv(self._T_map_steady @ placement.T_steady_lidar) @ reply.T_map_lidar
         correction = Correction(float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
         self.correction_max_m = max(self.correction_max_m, correction.translation_m)

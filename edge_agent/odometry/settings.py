@@ -13,6 +13,7 @@ class OdometrySettings(Model):
 
     enabled: bool = True
     after_s: float = Field(default=0.5, gt=0, description="a scan unanswered for so long: the robot goes on alone")
+    first_after_s: float = Field(default=2.0, gt=0, description="likewise, before the first answer of all")
     unanswered: int = Field(default=4, ge=2, description="scans that must be unanswered besides")
     back_s: float = Field(default=0.3, gt=0, description="an answer to a scan no older than this: it is not alone")
     late_s: float = Field(default=3.0, gt=0, description="answers up to this age still say where `map` is")

@@ -86,10 +86,10 @@ class Sequencer:
 
     def _push_imu(self, samples: ImuSamples, arrival_ns: int | None) -> list[Item]:
         out: list[Item] = []
-        finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
-        if not finite.all():
+        if not (np.isfinite(samples.gyro_radps).all() and np.isfinite(samples.accel_mps2).all()):
+            finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
             self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
-        samples = _take(samples, finite)
+            samples = _take(samples, finite)
         for run in self._runs(samples) if len(samples) else []:
             for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run, arrival_ns):
                 out.extend(self._emit(passed))
@@ -97,6 +97,8 @@ class Sequencer:
 
     def _runs(self, samples: ImuSamples) -> list[ImuSamples]:
         """The chunk as it is when time simply goes on in it, else its samples one by one."""
+        if len(samples) == 1:
+            return [samples]
         step_ns = np.diff(samples.stamps_ns)
         if self._imu_clock.follows(int(samples.stamps_ns[0])) and ((step_ns > 0) & (step_ns <= JUMP_NS)).all():
             return [samples]

@@ -39,9 +39,9 @@ class LioSamFeatures:
         cells = rings * columns
         self.limits = Limits.of(SETTINGS)
         self._picked, self._kept = np.empty(cells, np.uint8), np.empty(cells, np.uint8)
-        self._rank, self._slot_of = np.empty(cells, np.uint8), np.empty(cells, np.int32)
+        self._rank, self._voxel_of = np.empty(cells, np.uint8), np.empty(cells, np.int32)
         slots = 1 << (2 * columns - 1).bit_length()
-        self._table, self._sums = np.empty((slots, 4), np.int64), np.empty((slots, 5))
+        self._table, self._sums = np.empty((slots, 2), np.int64), np.empty((columns, 6))
 
     def select(
         self,
@@ -57,7 +57,7 @@ class LioSamFeatures:
             marks.d, marks.marks, image.column, picked, image.ring_start, SETTINGS.sectors, corners_per_sector, rank
         )
         kernels.thin_surfs(
-            image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._slot_of[:n], kept
+            image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._voxel_of[:n], kept
         )
         return np.flatnonzero(rank), np.flatnonzero(kept)
 

@@ -239,6 +239,18 @@ def offset_from_fit(g, n, T, px, py, pz, noise):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
+def jacobian(T, nx, ny, nz, px, py, pz, J):
+    """J (6,): of n . (T p), T right-perturbed, rotation first: [p x a, a] with a = R^T n."""
+    ax = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
+    ay = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
+    az = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
+    J[0] = py * az - pz * ay
+    J[1] = pz * ax - px * az
+    J[2] = px * ay - py * ax
+    J[3], J[4], J[5] = ax, ay, az
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
 def linearise(geometry, moments, points_lidar, T, slots, noise, H, b):
     """Adds the weighted normal equations of equation 3 to H (6, 6), b (6,); returns (cost, inliers, sum r^2).
 
@@ -284,14 +296,7 @@ def linearise(geometry, moments, points_lidar, T, slots, noise, H, b):
             if row == 1:
                 nx, ny, nz = g[4] * nz - g[5] * ny, g[5] * nx - g[3] * nz, g[3] * ny - g[4] * nx
                 residual = 0.0
-            # a = R^T n; rotation part p x a
-            ax = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
-            ay = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
-            az = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
-            J[0] = py * az - pz * ay
-            J[1] = pz * ax - px * az
-            J[2] = px * ay - py * ax
-            J[3], J[4], J[5] = ax, ay, az
+            jacobian(T, nx, ny, nz, px, py, pz, J)
             for r in range(6):
                 s = weight * J[r]
                 b[r] -= s * residual
@@ -334,13 +339,7 @@ def spurious(geometry, moments, points_lidar, T, slots, noise, H):
             else:  # both directions across the line waver along it
                 nx, ny, nz = g[3], g[4], g[5]
                 s = weight * tilt / (g[8] + 1e-6)
-            ax = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
-            ay = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
-            az = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
-            J[0] = py * az - pz * ay
-            J[1] = pz * ax - px * az
-            J[2] = px * ay - py * ax
-            J[3], J[4], J[5] = ax, ay, az
+            jacobian(T, nx, ny, nz, px, py, pz, J)
             for r in range(6):
                 for c in range(r, 6):
                     H[r, c] += s * J[r] * J[c]

@@ -13,6 +13,7 @@ from splitslam.run.options import RunOptions
 
 # What a run decides by itself.
 _EDGE_OWN = ("robot", "server", "source", "output", "state_dir")
+_CONNECT_S = 10.0
 _RECONNECT_S = 120.0
 _MAP_OWN = ("listen", "store")
 
@@ -74,7 +75,8 @@ def _edge(edge: dict[str, Any], options: RunOptions, work: Path) -> dict[str, An
     if options.max_kbps is not None:
         given["uplink"] = {**_section(edge, "uplink"), "max_kbps": options.max_kbps}
     # somebody waits for this run: a service that stays away is an error
-    given["uplink"] = {"reconnect_timeout_s": _RECONNECT_S, **_section({**edge, **given}, "uplink")}
+    patience = {"connect_timeout_s": _CONNECT_S, "reconnect_timeout_s": _RECONNECT_S}
+    given["uplink"] = {**patience, **_section({**edge, **given}, "uplink")}
     return {"metrics": {"port": None}, **edge, **given}
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from edge_agent.deskew import make_deskewer
 from edge_agent.deskew.fixed_table import fixed_table
-from edge_agent.features import _kernels as kernels
+from edge_agent.features import _projection_kernels as kernels
 from fpga_overlay.golden import cordic, fixed, packet
 from fpga_overlay.golden.deskew import deskew
 from splitslam.features import Knots
@@ -37,6 +37,12 @@ def test_columns_are_the_logic_s_even_on_the_edges_between_them(columns: int, on
     mine = [kernels.column_of(a, b, columns) for a, b in zip(x, y, strict=True)]
     steps = fixed.from_float32(x)[0], fixed.from_float32(y)[0]
     np.testing.assert_array_equal(mine, cordic.column_of(cordic.azimuth(*steps), columns))
+    quick = np.empty(len(x), np.int32)
+    kernels.quick_columns(x, y, columns, quick)
+    sure = quick >= 0
+    np.testing.assert_array_equal(quick[sure], np.array(mine)[sure])
+    usual = (r > 0.26) & (r < 250.0)
+    assert np.mean(sure[usual]) > 0.98 or on_the_edges
 
 
 @pytest.mark.parametrize("rate_hz", [10, 500, 4000])

@@ -27,54 +27,6 @@ def columns_with_gaps(rng: np.random.Generator, ring_start: np.ndarray) -> np.nd
     return column
 
 
-@pytest.mark.parametrize(("rings", "columns"), [(4, 36), (16, 1800), (5, 2048), (5, 2083)])
-def test_projection_is_lio_sams_and_the_first_return_wins(rings: int, columns: int):
-    rng = np.random.default_rng(rings)
-    n = 600
-    # keep off the cells' borders, where float32 and float64 may round apart
-    azimuth = 2 * np.pi / columns * (rng.integers(0, columns, n) + rng.uniform(-0.49, 0.49, n))
-    azimuth[:8] = np.array([0, 0.5, 1, 1.5, 2, -0.5, -1, 0.25]) * np.pi
-    r = rng.uniform(1, 50, n)
-    points = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), rng.normal(size=n)], axis=1).astype(np.float32)
-    ring = rng.integers(0, rings + 1, n).astype(np.uint8)
-    cells = np.empty((rings, columns), np.int32)
-    counts = np.empty(2, np.int64)
-    kernels.project(points, ring, cells, counts)
-    expected, taken, outside = naive.project(points, ring, rings, columns)
-    assert {(r, c): int(cells[r, c]) for r, c in np.argwhere(cells >= 0)} == expected
-    assert counts.tolist() == [taken, outside]
-    assert taken > 0
-    assert outside > 0
-
-
-def test_gather_lays_points_out_by_ring_then_column():
-    rng = np.random.default_rng(0)
-    cells = np.full((5, 40), -1, np.int32)
-    filled = rng.choice(200, 60, replace=False)
-    cells.reshape(-1)[filled] = rng.permutation(60)
-    cells[2] = -1  # a ring without returns
-    points = rng.normal(size=(60, 3)).astype(np.float32)
-    total = int((cells >= 0).sum())
-    out, range_q = np.empty((200, 3), np.float32), np.empty(200, np.int32)
-    column, source, start = np.empty(200, np.uint16), np.empty(200, np.int32), np.empty(6, np.int32)
-    n = kernels.gather(cells, points, out, range_q, column, source, start)
-    order = [(r, c, int(cells[r, c])) for r in range(5) for c in range(40) if cells[r, c] >= 0]
-    assert n == total == len(order)
-    np.testing.assert_array_equal(source[:n], [i for _, _, i in order])
-    np.testing.assert_array_equal(column[:n], [c for _, c, _ in order])
-    np.testing.assert_array_equal(out[:n], points[source[:n]])
-    np.testing.assert_array_equal(range_q[:n], [naive.range_units(p) for p in points[source[:n]]])
-    assert start.tolist() == [sum(r < k for r, _, _ in order) for k in range(6)]
-
-
-def test_a_range_is_rounded_the_same_way_whatever_the_point():
-    rng = np.random.default_rng(1)
-    points = (rng.normal(size=(2000, 3)) * 10 ** rng.uniform(-5, 2.6, (2000, 1))).astype(np.float32)
-    points[:4] = [[0, 0, 0], [300, 0, 0], [2**-15, 0, 0], [255.99951, 0, 0]]
-    np.testing.assert_array_equal([kernels.range_units(*p) for p in points], [naive.range_units(p) for p in points])
-    assert [kernels.range_units(*p) for p in points[:2]] == [1, 2**18 - 1]
-
-
 RINGS = np.cumsum([0, 0, 1, 5, 10, 11, 12, 13, 17, 18, 300, 1]).astype(np.int32)  # too short for windows, sectors; long
 
 
@@ -138,12 +90,31 @@ def test_surfs_are_thinned_to_the_real_point_nearest_to_each_voxels_centroid():
     ring_start = np.array([0, 120, 120, 128, 300], np.int32)
     points = rng.uniform(-0.75, 0.75, (300, 3)).astype(np.float32)
     rank = (rng.random(300) < 0.1).astype(np.uint8)
-    table, sums = np.full((512, 4), 3, np.int64), np.empty((512, 5))
-    slot_of, kept = np.empty(300, np.int32), np.full(300, 9, np.uint8)
-    kernels.thin_surfs(points, rank, ring_start, 0.4, table, sums, slot_of, kept)
+    table, sums = np.full((512, 2), 3, np.int64), np.full((172, 6), 7.0)
+    voxel_of, kept = np.empty(300, np.int32), np.full(300, 9, np.uint8)
+    count = kernels.thin_surfs(points, rank, ring_start, 0.4, table, sums, voxel_of, kept)
     expected = naive.thin(points, rank, ring_start, 0.4)
     np.testing.assert_array_equal(kept.astype(bool), expected)
+    assert count == expected.sum()
     assert 50 < expected.sum() < 200
+
+
+def test_the_sharpest_of_every_sector_come_before_the_second_of_any():
+    rng = np.random.default_rng(3)
+    rank = rng.integers(-30, 6, 400).clip(0).astype(np.uint8)
+    per_rank = np.bincount(rank, minlength=6)
+    chosen = np.full(400, 9, np.uint8)
+    for target in (0, 1, int(per_rank[1]), int(per_rank[1:3].sum()) + 3, 1000):
+        taken = kernels.sharpest(rank, target, chosen)
+        assert taken == chosen.sum() == min(target, per_rank[1:].sum())
+        ranks = rank[chosen == 1]
+        assert np.all(ranks > 0)
+        whole = ranks.max(initial=0)  # all below it are there
+        assert all((ranks == r).sum() == per_rank[r] for r in range(1, whole))
+        places = np.flatnonzero(chosen[rank == whole]) if whole else np.zeros(0)
+        if 1 < len(places) < per_rank[whole]:
+            assert np.diff(places).max() - np.diff(places).min() <= 1
+    assert kernels.sharpest(np.zeros(0, np.uint8), 5, np.zeros(0, np.uint8)) == 0
 
 
 @pytest.mark.parametrize("target", [0, 1, 7, 40, 1000])

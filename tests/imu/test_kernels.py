@@ -111,3 +111,19 @@ def test_quaternions_positions_and_knots_are_those_of_the_poses():
     kernels.knots(poses, rotation, translation)
     for t, w, p in zip(T, rotation, translation, strict=True):
         np.testing.assert_allclose(se3.compose(se3.so3_exp(w), p), se3.inv(T[0]) @ t, atol=1e-9)
+
+
+def test_a_window_has_the_samples_inside_it_and_its_ends_between_them_or_held():
+    rng = np.random.default_rng(9)
+    own_ns = np.cumsum(rng.integers(1, 9, 30)).astype(np.int64)
+    values = rng.normal(size=(30, 6))
+    for start_ns, end_ns in rng.integers(-20, 180, (300, 2)):
+        start_ns, end_ns = int(min(start_ns, end_ns)), int(max(start_ns, end_ns))
+        inside = (own_ns > start_ns) & (own_ns < end_ns)
+        first = int(np.searchsorted(own_ns, start_ns, side="right"))
+        n = int(inside.sum()) + 2
+        stamps_ns, gyro, accel = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3))
+        kernels.window(own_ns, values, (first, start_ns, end_ns), stamps_ns, gyro, accel)
+        assert stamps_ns.tolist() == [start_ns, *own_ns[inside].tolist(), end_ns]
+        expected = np.stack([np.interp(stamps_ns, own_ns, values[:, c]) for c in range(6)], axis=1)
+        np.testing.assert_allclose(np.hstack([gyro, accel]), expected, atol=1e-12)

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge_agent.imu import make_imu_node
 from edge_agent.imu.constant_velocity import ConstantVelocityNode
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.types import OdometryReply
 from splitslam import se3
 from splitslam.robot import robot_from_yaml
 from tests.imu.made import SCAN_NS, START_NS, Drive, make_node, play
@@ -94,14 +97,42 @@ def test_a_late_or_rejected_answer_changes_nothing():
     node = make_node(200.0)
     for k, _, _, _ in play(node, Drive(still_s=2.0), 4.0):
         last = k
-    from edge_agent.types import OdometryReply
-
     before = node._anchor
     for rejected, age in (("corrupt", 1), ("", 30)):
         far = se3.compose(np.eye(3), np.array([50.0, 0, 0]))
         stamp = START_NS + (last - age) * SCAN_NS
         node.on_odometry(OdometryReply(last - age, stamp, far, np.eye(4), np.eye(6), 2, np.zeros((0, 6)), rejected))
     assert node._anchor is before
+
+
+def test_poses_that_a_lost_service_carried_do_not_start_the_node():
+    """They say that the robot stands; it drives at 1 m/s, and a velocity that is sure and wrong bends what follows."""
+    node = make_node(200.0)
+    original = node.on_odometry
+    lost_until = 8
+
+    def answer(reply: OdometryReply) -> None:
+        if reply.seq <= lost_until:
+            reply = replace(reply, T_map_lidar=np.eye(4), degenerate_axes=np.eye(6), state=6)
+        original(reply)
+
+    node.on_odometry = answer  # type: ignore[method-assign]
+    known = [k for k, _, motion, _ in play(node, Drive(still_s=0.0), 3.0) if motion.velocity_known]
+    assert known[0] == lost_until + 3  # two answers, two scans late each
+    assert node.state == 2
+
+
+def test_a_minute_without_answers_costs_no_scan_more_than_the_last_ones_and_an_old_answer_changes_nothing():
+    node, drive, history_s = make_node(200.0), Drive(still_s=2.0), ImuSettings().history_s
+    old: list[OdometryReply] = []
+    original = node.on_odometry
+    node.on_odometry = old.append  # type: ignore[method-assign]
+    samples = [len(node.buffer) for _ in play(node, drive, 3 * history_s)]
+    assert max(samples) < 200.0 * (history_s + 2.0)
+    for reply in old:
+        original(replace(reply, T_map_lidar=np.eye(4)))
+        if reply.stamp_ns < START_NS + int(18e9):
+            assert not node._started
 
 
 def test_a_jump_of_the_map_moves_t_map_odom_and_not_t_odom_lidar():
@@ -130,8 +161,6 @@ def test_without_an_imu_the_last_twist_goes_on(enabled):
     bare = robot_from_yaml("imu: null")
     node = make_imu_node(bare if enabled else make_node().robot, ImuSettings(), enabled)
     assert isinstance(node, ConstantVelocityNode)
-    from edge_agent.types import OdometryReply
-
     step = se3.exp(np.array([0, 0, 0.02, 0.15, 0, 0]))
     T = np.eye(4)
     poses = []

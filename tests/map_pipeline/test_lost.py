@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from map_service.carried import CarriedScans
 from map_service.doubt import Doubt, Verdict
 from map_service.loops import LoopVerifier
 from map_service.pipeline import MapPipeline
@@ -89,6 +91,70 @@ def test_a_lost_session_goes_on_where_it_was_after_a_restart():
     service.tracker.doubt = doubt
     later = np.random.default_rng(5)
     assert drive(service, range(USUAL + 3, USUAL + 5), later)[-1].state == State.TRACKING
+
+
+def final_errors_m(service: MapPipeline, kidnapped_at: int = USUAL + 1) -> list[float]:
+    """Of every scan, as the trajectory has it now."""
+    return [
+        float(np.linalg.norm((se3.inv(T) @ se3.inv(truth(1)) @ truth(seq, kidnapped_at))[:3, 3]))
+        for seq, _, T in service.trajectory()
+    ]
+
+
+def test_scans_of_a_lost_robot_get_their_place_when_it_is_found():
+    service = pipeline()
+    answers = drive(service, range(1, USUAL + 8), np.random.default_rng(4))
+    assert error_m(answers[USUAL]) > 2.0  # the answer is given
+    assert max(final_errors_m(service)) < 0.03
+
+
+def test_scans_that_a_commit_has_taken_get_their_place_with_a_later_one():
+    service, rng = pipeline(), np.random.default_rng(4)
+    drive(service, range(1, USUAL + 3), rng)
+    taken = {f.seq: f.T_keyframe_lidar for f in service.take_commit().frames}
+    drive(service, range(USUAL + 3, USUAL + 8), rng)
+    commit = service.take_commit()
+    assert [seq for seq, _ in commit.frames_again] == [USUAL + 1, USUAL + 2]
+    final = {f.seq: f.T_keyframe_lidar for f in service.frames}
+    for seq, T in commit.frames_again:
+        assert np.linalg.norm((T - taken[seq])[:3, 3]) > 2.0
+        np.testing.assert_array_equal(T, final[seq])
+    np.testing.assert_array_equal(commit.frames[0].T_keyframe_lidar, final[USUAL + 3])
+    assert service.take_commit().frames_again == []
+
+
+def test_scans_from_before_a_restart_get_their_place_by_the_robot_s_own_motion():
+    service, rng = pipeline(), np.random.default_rng(4)
+    drive(service, range(1, USUAL + 3), rng)
+    carried = CarriedScans()
+    carried.load(json.loads(json.dumps(service.tracker.carried.dump())))
+    service.tracker.carried = carried
+    drive(service, range(USUAL + 3, USUAL + 8), rng)
+    assert max(final_errors_m(service)) < 0.05
+
+
+def test_a_robot_that_nobody_saw_coming_is_not_believed_where_it_fits_first():
+    """1.2 m from where it was: the scan registers there, and stays where it was put for good."""
+    service, rng, unseen = pipeline(), np.random.default_rng(4), se3.exp(np.array([0, 0, 0.1, 1.2, 0.3, 0.0]))
+
+    def at(seq: int) -> np.ndarray:
+        before = np.linalg.matrix_power(STEP, min(seq, USUAL) - 1)
+        return T_START @ before @ (unseen @ np.linalg.matrix_power(STEP, seq - USUAL - 1) if seq > USUAL else np.eye(4))
+
+    states = []
+    for seq in range(1, USUAL + 8):
+        known = seq <= USUAL
+        seen = frame(seq, at(seq), rng, known=known, skew=None if known else STEP[:3, 3] / 0.1)
+        if seq == USUAL + 1:
+            far = np.diag(np.repeat([1.5**2, 10.0**2], 3))
+            seen = replace(seen, motion=replace(seen.motion, covariance=far))
+        states.append(service.process(seen).state)
+    assert states[USUAL : USUAL + 3] == [State.LOST, State.LOCALISING, State.LOCALISING]
+    assert states[USUAL + 3 :] == [State.INITIALISING] * 4  # found; its velocity is not known yet
+    errors = [
+        float(np.linalg.norm((se3.inv(T) @ se3.inv(at(1)) @ at(seq))[:3, 3])) for seq, _, T in service.trajectory()
+    ]
+    assert max(errors) < 0.03
 
 
 def test_someone_in_the_way_makes_no_lost_robot():

@@ -142,6 +142,23 @@ def test_the_trajectory_follows_the_corrected_keyframes(store: Store) -> None:
     np.testing.assert_allclose(page[2][2], pose(42) @ pose(3), atol=POSE_TOLERANCE)
 
 
+def test_frames_that_are_placed_again_keep_the_answer_they_were_given(store: Store) -> None:
+    opened = store.open_session(OPENING)
+    first = entry(0, 3, keyframes=(0,))
+    store.commit(opened.key, 1, first)
+    later = entry(3, 5, rejected=[(5, 5000, "corrupt")])
+    later.commit.frames.pop()
+    later.commit.frames_again.extend([(2, pose(70)), (5, pose(71))])  # a rejected one has no pose to correct
+    store.commit(opened.key, 1, later)
+    (page,) = Catalog(store).trajectory(opened.key)
+    assert [seq for seq, _, _ in page] == [1, 2, 3, 4]
+    np.testing.assert_allclose(page[0][2], pose(1000) @ pose(1), atol=POSE_TOLERANCE)
+    np.testing.assert_allclose(page[1][2], pose(1000) @ pose(70), atol=POSE_TOLERANCE)
+    given = store.answers(opened.key, seq=2)[0].T_map_lidar
+    assert given is not None
+    np.testing.assert_allclose(given, first.commit.frames[1].T_map_lidar_online, atol=POSE_TOLERANCE)
+
+
 def test_a_trajectory_comes_in_pages_of_at_most_a_thousand(store: Store) -> None:
     opened = store.open_session(OPENING)
     store.commit(opened.key, 1, entry(0, 2500, keyframes=(0,)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,38 @@ def test_what_the_imu_node_is_told_goes_on_when_the_service_is_back_and_the_map_
         assert correction is None
         assert off_m(reply) < 2 * bars.EDGE_ODOMETRY_M  # the robot's own frame goes on
         np.testing.assert_allclose(reply.T_map_lidar, jump @ drift @ pose(seq))  # and `map` is the service's
+
+
+def test_without_any_answer_the_edge_begins_where_it_stands_and_the_service_puts_it_on_the_map_later():
+    outages = Outages(OdometrySettings())
+    count = 40
+    replies = alone(outages, first=1, count=count)
+    assert outages.alone
+    assert replies[0].seq == 2  # the first scan is what the others are matched against
+    T_first = steady(replies[0]) @ se3.inv(pose(2))  # level as the first scan says; the walk begins elsewhere
+    ends = [float(np.linalg.norm((se3.inv(T_first @ pose(r.seq)) @ steady(r))[:3, 3])) for r in replies]
+    assert max(ends) < 2 * bars.EDGE_ODOMETRY_M
+    for seq in range(1, count + 1):  # the service has it all at once, somewhere on an old map
+        told, correction = outages.on_answer(answer(seq, se3.exp(np.array([0.0, 0.0, 1.0, 5.0, -3.0, 0.0]))))
+        assert correction is None  # it has been nowhere before
+    assert not outages.alone
+    np.testing.assert_allclose(steady(told), T_first @ pose(count), atol=2 * bars.EDGE_ODOMETRY_M)
+
+
+def test_a_service_that_does_not_know_where_the_robot_is_ends_no_outage():
+    outages = Outages(OdometrySettings())
+    alone(outages, first=1, count=40)
+    for seq in range(1, 41):
+        outages.on_answer(replace(answer(seq), state=LOST))
+    assert outages.alone
+
+
+def test_a_start_waits_two_seconds_for_its_service():
+    outages = Outages(OdometrySettings())
+    assert alone(outages, first=1, count=20) == []
+    outages.on_answer(answer(18))
+    assert alone(outages, first=21, count=1) == []
+    assert outages.report().count == 0
 
 
 def test_an_outage_after_an_outage_goes_on_in_the_same_frame():
