@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from map_service.settings import PipelineSettings
 from splitslam.config import Model
@@ -14,6 +14,13 @@ from splitslam.security.settings import ServerTls
 
 ENV_PREFIX = "SPLITSLAM_MAP"
 SESSIONS_A_WORKER = 10
+
+
+def _address(listen: str) -> str:
+    host, _, port = listen.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise ValueError("expected HOST:PORT, e.g. 0.0.0.0:50051")
+    return listen
 
 
 class MetricsConfig(Model):
@@ -104,7 +111,7 @@ class RetentionConfig(Model):
 class ServiceConfig(Model):
     """`map-service serve`."""
 
-    listen: str = "127.0.0.1:50051"
+    listen: Annotated[str, AfterValidator(_address)] = "127.0.0.1:50051"
     store: str = Field(
         default="sqlite:///splitslam-map.db", description="sqlite:///FILE or postgresql://USER@HOST/DATABASE"
     )

@@ -20,7 +20,7 @@ from tests.systemd.unit import UNITS
 from tests.systemd.wheels import build_wheel
 
 GUIDE = (ROOT / "docs" / "robot.md").read_text()
-FIRST, SECOND = "0.1.0", "0.1.1"
+FIRST, SECOND = "0.2.0", "0.2.1"
 # What needs a network: the wheel is made by the test, its packages are this environment's.
 NOT_TYPED = (".venv/bin/python -m pip wheel ", ".venv/bin/python -m pip download ")
 SYSTEMCTL = """#!/usr/bin/env bash
