@@ -92,9 +92,18 @@ def own_address(config: ReplicaConfig, listening: str) -> str:
 class Membership:
     """One thread that writes this replica's row and reads all of them: `peers`, as of the last look that succeeded."""
 
-    def __init__(self, store: Store, config: ReplicaConfig, address: str, sessions: Callable[[], int]) -> None:
-        """sessions: how many have a stream here; called by the thread."""
-        self._store, self._config, self._address, self._sessions = store, config, address, sessions
+    def __init__(
+        self,
+        store: Store,
+        config: ReplicaConfig,
+        address: str,
+        sessions: Callable[[], int],
+        ready: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """sessions: how many have a stream here; ready: whether one more would be mapped at once, which a replica whose
+        workers have died cannot. Called by the thread."""
+        self._store, self._config, self._address = store, config, address
+        self._sessions, self._ready = sessions, ready
         self._id = str(uuid.uuid4())
         self.peers = Peers(self._id)
         self.looks = 0
@@ -125,7 +134,9 @@ class Membership:
         row = {"beats": self._beats, "sessions": self._sessions()}
         own = replicas.c.id == self._id
         with self._store.writing() as connection:
-            if connection.execute(update(replicas).where(own).values(**row)).rowcount == 0:
+            if not self._ready():  # nobody is sent here meanwhile
+                connection.execute(delete(replicas).where(own))
+            elif connection.execute(update(replicas).where(own).values(**row)).rowcount == 0:
                 connection.execute(
                     insert(replicas).values(id=self._id, address=self._address, started_s=time.time(), **row)
                 )

@@ -78,7 +78,8 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         notifier = Notifier()
         notifier.ready(f"listening on {address}")
         living = asyncio.create_task(_give_signs_of_life(notifier))
-        membership = Membership(store, config.replica, own_address(config.replica, address), lambda: front.open)
+        own = own_address(config.replica, address)
+        membership = Membership(store, config.replica, own, lambda: front.open, lambda: pool.ready)
         rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
         if _shared(config, store):
             membership.start()

@@ -173,6 +173,11 @@ class WorkerPool:
         self._tasks.append(asyncio.create_task(self._watch()))
         await asyncio.gather(*(self._until_ready(worker) for worker in self._workers))
 
+    @property
+    def ready(self) -> bool:
+        """Is there a worker that would take a session now?"""
+        return any(worker.ready.is_set() for worker in self._workers)
+
     async def _until_ready(self, worker: WorkerProcess) -> None:
         while not worker.ready.is_set():
             if not worker.process.is_alive():

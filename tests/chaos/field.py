@@ -86,8 +86,10 @@ class Field:
 
 
 def _has_worker(replica: Replica) -> bool:
-    workers = replica.workers()
-    return bool(workers) and workers[-1] in family(replica.pid)
+    try:
+        return replica.metrics().get("splitslam_map_workers_ready", 1.0) >= 1.0  # releases before do not say
+    except OSError:
+        return False
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,6 +101,25 @@ def test_replicas_see_each_other_and_one_that_is_silent_is_gone(tmp_path: Path) 
     store.close()
 
 
+def test_nobody_is_sent_to_a_replica_whose_workers_have_died_until_one_is_back(tmp_path: Path) -> None:
+    store = Store(f"sqlite:///{tmp_path}/map.db")
+    config, ready = ReplicaConfig(beat_s=0.05, lost_beats=3), threading.Event()
+    ready.set()
+    one = membership(store, 1)
+    two = Membership(store, config, "10.0.0.2:50051", lambda: 2, ready.is_set)
+    one.start()
+    two.start()
+    wait_for(lambda: one.peers.rooms(1) == ["10.0.0.2:50051"])
+    ready.clear()
+    wait_for(lambda: one.peers.rooms(1) == [])
+    assert two.peers.rooms(1) == ["10.0.0.1:50051"], "it still knows where its own robots could go"
+    ready.set()
+    wait_for(lambda: one.peers.rooms(1) == ["10.0.0.2:50051"])
+    one.leave(5.0)
+    two.leave(5.0)
+    store.close()
+
+
 def test_the_address_is_the_configured_one_or_where_it_listens_as_others_see_it() -> None:
     assert own_address(ReplicaConfig(address="rack-2:50051"), "0.0.0.0:50051") == "rack-2:50051"
     assert own_address(CONFIG, "127.0.0.1:4711") == "127.0.0.1:4711"
