@@ -65,7 +65,7 @@ def _unseen(motion: Motion, gap_s: float) -> Motion:
     """`motion` after a time in which nobody measured: turned as the scan shows, the way left to the map service.
 
     The service adds its own last velocity where the edge says that it knows none, and holds it to what accelerations
-    allow (map_service/tracker.py).
+    allow (map_service/scan_alignment.py).
     """
     knots = motion.knots
     scan_s = float(knots.offsets_ns[-1] - knots.offsets_ns[0]) * 1e-9

@@ -15,7 +15,7 @@ from map_service.drift import MapDrift
 from map_service.graph import PoseGraph
 from map_service.keyframes import Cloud, Keyframe, Keyframes
 from map_service.pipeline_statistics import outcomes
-from map_service.tracker import TrackerState
+from map_service.tracker_state import TrackerState
 from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot, StateVersionError
 from splitslam import se3
 

@@ -25,7 +25,8 @@ from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import PipelineStatistics, effort, outcomes
 from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
-from map_service.tracker import Track, Tracker, TrackerState
+from map_service.tracker import Track, Tracker
+from map_service.tracker_state import TrackerState
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot, State
 from splitslam import se3
 from splitslam.features import FeatureFrame

@@ -6,23 +6,24 @@ until a rebuild of the local map takes the corrected keyframes over.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from map_service.carried import Carried, CarriedScans, Later
 from map_service.doubt import Doubt, Verdict
+from map_service.scan_alignment import ScanAlignment, deskewed_again
 from map_service.settings import TrackerSettings
+from map_service.tracker_state import TrackerState
 from map_service.types import State
 from map_service.wide_search import Fit, Place, WideSearch
 from splitslam import se3
-from splitslam.features import FeatureFrame, FeatureSet
-from splitslam.registration.align import Prediction, Registration, RegistrationResult, deskew_again
+from splitslam.features import FeatureFrame
+from splitslam.registration.align import Registration, RegistrationResult
 from splitslam.registration.local_map import LocalMap
 
 Array = NDArray[np.float64]
-NO_IMU_SIGMA_RAD = 0.4  # an edge without an IMU says it does not know where down is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,22 +45,6 @@ class Track:
     placed: tuple[Carried, ...] = ()
 
 
-@dataclass(slots=True, eq=False)
-class TrackerState:
-    """All that must survive a restart, besides the keyframes."""
-
-    T_local_lidar: Array
-    T_local_keyframe: Array
-    stamp_ns: int
-    frames: int
-    twist: Array  # of the newest motion, rad/s and m/s, frame `lidar`
-    base_twist: Array  # zero, but while the first two scans are put together
-    bad_frames: int
-    seq: int
-    hole_s: float = 0.0  # time bridged by the last twist instead of measured motion
-    carried_sigma: Array = field(default_factory=lambda: np.zeros(6))  # of the motion since the last frame with points
-
-
 class Tracker:
     """Predicts, registers, decides on keyframes and feeds the local map."""
 
@@ -68,11 +53,11 @@ class Tracker:
         self.redeskew = redeskew
         self.local_map = LocalMap(settings.local_map)
         self.registration = Registration(settings.registration)
+        self._alignment = ScanAlignment(settings, self.registration, self.local_map, redeskew)
         self.search = WideSearch(settings.search, self.registration)
         self.doubt = Doubt(settings.doubt)
         self.carried = CarriedScans()
         self.state: TrackerState | None = None
-        self._start_accelerations = np.repeat([settings.start_rotation_radps2, settings.start_acceleration_mps2], 3)
         self._first: FeatureFrame | None = None
 
     def process(self, frame: FeatureFrame) -> Track:
@@ -84,7 +69,7 @@ class Tracker:
             return self._follow(frame, state)
         if self.doubt.state.lost:
             return self._look_around(frame, self.state, state)
-        result = self._align(frame, state)
+        result = self._alignment.forward(frame, state)
         first_again = None
         if state.frames == 1 and not frame.motion.velocity_known and self.redeskew:
             result, first_again = self._bootstrap(frame, state, result)
@@ -144,50 +129,6 @@ class Tracker:
             status = State.LOST if lost else State.DEGENERATE
         return Track(T, result, status, False, frame.corners.points_lidar, frame.surfs.points_lidar)
 
-    def _align(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
-        motion, s = frame.motion, self.settings
-        interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
-        sigmas = np.sqrt(np.maximum(np.diag(motion.covariance), 1e-12)) / interval_s
-        base = self._base_twist(frame, state, interval_s)
-        if base.any():  # what remains is how the twist changes from one scan to the next
-            sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
-        T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
-        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
-        floors = floors + 0.5 * state.hole_s**2 * self._start_accelerations
-        information = np.diag(1.0 / ((sigmas * interval_s + state.carried_sigma) ** 2 + floors**2))
-        prediction = Prediction(
-            state.T_local_lidar @ T_prev_lidar, information, interval_s, float(sigmas[:3].max()), sigmas[3:]
-        )
-        # after a hole the prediction's error says nothing about this scan
-        again = self.redeskew and not state.hole_s and not state.carried_sigma.any()
-        return self._register(frame, prediction, base, again)
-
-    def _register(self, frame: FeatureFrame, prediction: Prediction, base: Array, again: bool) -> RegistrationResult:
-        """base (6,): what the scan is deskewed by before, on top of the edge's twist; again: and while it converges."""
-        result = self.registration.align(
-            self.local_map,
-            _again(frame.corners, base),
-            _again(frame.surfs, base),
-            (_seconds(frame.corners), _seconds(frame.surfs)),
-            prediction,
-            again,
-        )
-        return replace(result, delta_twist=result.delta_twist + base)
-
-    def _base_twist(self, frame: FeatureFrame, state: TrackerState, interval_s: float) -> Array:
-        """What to add to the edge's twist before registering: nothing, unless the server knows better.
-
-        It does while the edge has no velocity yet, and always when there is no IMU: the edge's twist is then two
-        scans old, the server's one.
-        """
-        inertial = frame.motion.gravity_sigma_rad < NO_IMU_SIGMA_RAD
-        if not self.redeskew or state.frames < 2 or (inertial and frame.motion.velocity_known):
-            return state.base_twist
-        base = state.twist - se3.log(frame.motion.T_prev_lidar) / interval_s
-        if inertial:
-            base[:3] = 0.0
-        return base
-
     def _bootstrap(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult):
         """A robot that starts moving: the first scan was taken with the velocity that the second one reveals."""
         first = self._first
@@ -196,11 +137,11 @@ class Tracker:
         points = first.corners.points_lidar, first.surfs.points_lidar
         for _ in range(self.settings.bootstrap_iterations):
             delta = result.delta_twist
-            points = _again(first.corners, delta), _again(first.surfs, delta)
+            points = deskewed_again(first.corners, delta), deskewed_again(first.surfs, delta)
             self.local_map.clear()
             self.insert(0, state.T_local_keyframe, *points)
             state.base_twist = delta
-            result = self._align(frame, state)
+            result = self._alignment.forward(frame, state)
             if np.linalg.norm((result.delta_twist - delta) * self.settings.registration.scale) < 0.02:
                 break
         return result, points
@@ -234,7 +175,7 @@ class Tracker:
         T_carried = state.T_local_lidar @ frame.motion.T_prev_lidar
         moved = se3.inv(before.T_local_lidar) @ state.T_local_lidar
         there = [replace(state, T_local_lidar=h.T_local_lidar @ moved) for h in doubt.state.hypotheses]
-        results = [self._align(frame, at) for at in there]
+        results = [self._alignment.forward(frame, at) for at in there]
         found = doubt.confirm([Place(r.T_local_lidar, Fit.of(r)) for r in results])
         if found is not None:
             doubt.found()
@@ -243,7 +184,7 @@ class Tracker:
             return replace(track, T_found_carried=track.T_local_lidar @ se3.inv(T_carried), placed=placed)
         if (centre := doubt.next_centre(T_carried)) is not None:
             doubt.consider(self.search.places(self.local_map, frame, centre))
-        return self._carry(frame, state, results[0] if results else self._align(frame, state))
+        return self._carry(frame, state, results[0] if results else self._alignment.forward(frame, state))
 
     def _carry(self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult) -> Track:
         """The edge's motion carries a pose that is not believed: no keyframe, no axis observed, metres of doubt."""
@@ -280,27 +221,9 @@ class Tracker:
         return placed
 
     def _place_before(self, frame: FeatureFrame, later: Later) -> Array | None:
-        """`_align` backwards in time: the pose of a scan by the one after it, None where the map denies it."""
-        assert later.frame is not None
-        interval_s = max((later.stamp_ns - frame.stamp_ns) * 1e-9, 1e-3)
-        after, motion, s = later.frame.motion, frame.motion, self.settings
-        T_this_later, base = after.T_prev_lidar, np.zeros(6)
-        sigmas = np.sqrt(np.maximum(np.diag(after.covariance), 1e-12)) / interval_s
-        if not after.velocity_known:  # the way is the server's to know; the turn the IMU's, if there is one
-            T_this_later = se3.exp(later.twist * interval_s)
-            if after.gravity_sigma_rad < NO_IMU_SIGMA_RAD:
-                T_this_later[:3, :3] = after.T_prev_lidar[:3, :3]
-            sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
-        if self.redeskew and not motion.velocity_known:
-            base[3:] = later.twist[3:] - motion.velocity_lidar_mps
-        T = later.T_local_lidar @ se3.inv(T_this_later)
-        if not (len(frame.corners) or len(frame.surfs)):
-            return T
-        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
-        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + floors**2))
-        prediction = Prediction(T, information, interval_s, float(sigmas[:3].max()), sigmas[3:])
-        result = self._register(frame, prediction, base, self.redeskew)
-        return result.T_local_lidar if self.doubt.fits(Fit.of(result)) else T
+        """The pose of a scan by the one after it; None where the map denies it."""
+        result = self._alignment.backward(frame, later)
+        return result.T_local_lidar if not result.features or self.doubt.fits(Fit.of(result)) else None
 
     # --- outcome ----------------------------------------------------------------------------------------------
 
@@ -340,7 +263,9 @@ class Tracker:
             frame.seq,
         )
         delta = result.delta_twist if good and self.redeskew else np.zeros(6)
-        return Track(T, result, status, keyframe, _again(frame.corners, delta), _again(frame.surfs, delta))
+        return Track(
+            T, result, status, keyframe, deskewed_again(frame.corners, delta), deskewed_again(frame.surfs, delta)
+        )
 
     def insert(
         self, index: int, T_local_lidar: Array, corners_lidar: NDArray[np.float32], surfs_lidar: NDArray[np.float32]
@@ -357,15 +282,3 @@ class Tracker:
             self.state = replace(
                 self.state, T_local_lidar=T, T_local_keyframe=T_new_local @ self.state.T_local_keyframe
             )
-
-
-def _again(features: FeatureSet, delta_twist: Array) -> NDArray[np.float32]:
-    """The points (N, 3), deskewed again for another twist."""
-    if not delta_twist.any():
-        return features.points_lidar
-    points = features.points_lidar.astype(np.float64)
-    return deskew_again(points, _seconds(features), delta_twist).astype(np.float32)
-
-
-def _seconds(features: FeatureSet) -> Array:
-    return np.multiply(features.t_offset_ns, 1e-9, dtype=np.float64)

@@ -88,7 +88,7 @@ class ScanMatching:
         return self._last
 
     def _align(self, frame: FeatureFrame, last: Placement) -> RegistrationResult:
-        """As in map_service/tracker.py: the Imu node's motion is the start, and a measurement."""
+        """As in map_service/scan_alignment.py: the Imu node's motion is the start, and a measurement."""
         motion, s = frame.motion, self._settings
         interval_s = max((frame.stamp_ns - last.stamp_ns) * 1e-9, 1e-3)
         sigmas = np.sqrt(np.maximum(np.diag(motion.covariance), 1e-12))

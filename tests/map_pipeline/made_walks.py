@@ -11,7 +11,8 @@ import numpy as np
 from map_service.loops import LoopJob, LoopResult, verify
 from map_service.pipeline import MapPipeline
 from map_service.settings import LoopSettings, PipelineSettings, TrackerSettings
-from map_service.tracker import Track, Tracker, TrackerState
+from map_service.tracker import Track, Tracker
+from map_service.tracker_state import TrackerState
 from map_service.types import State
 from splitslam import se3
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion

@@ -1,0 +1,113 @@
+"""A scan against the local map: where it should be by the motion, and where it is by its points.
+
+The edge's motion is the start and a measurement; where the edge does not know its velocity yet, the server's own last
+one takes its place, and the points are deskewed again by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from map_service.carried import Later
+from map_service.settings import TrackerSettings
+from map_service.tracker_state import TrackerState
+from splitslam import se3
+from splitslam.features import FeatureFrame, FeatureSet
+from splitslam.registration.align import Prediction, Registration, RegistrationResult, deskew_again
+from splitslam.registration.local_map import LocalMap
+
+Array = NDArray[np.float64]
+NO_IMU_SIGMA_RAD = 0.4  # an edge without an IMU says it does not know where down is
+
+
+class ScanAlignment:
+    """Predicts and registers."""
+
+    def __init__(
+        self, settings: TrackerSettings, registration: Registration, local_map: LocalMap, redeskew: bool
+    ) -> None:
+        self._settings, self._registration, self._local_map = settings, registration, local_map
+        self._redeskew = redeskew
+        self._start_accelerations = np.repeat([settings.start_rotation_radps2, settings.start_acceleration_mps2], 3)
+
+    def forward(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
+        """The scan after `state`, from the edge's motion."""
+        motion, s = frame.motion, self._settings
+        interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
+        sigmas = np.sqrt(np.maximum(np.diag(motion.covariance), 1e-12)) / interval_s
+        base = self._base_twist(frame, state, interval_s)
+        if base.any():  # what remains is how the twist changes from one scan to the next
+            sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
+        T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
+        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
+        floors = floors + 0.5 * state.hole_s**2 * self._start_accelerations
+        information = np.diag(1.0 / ((sigmas * interval_s + state.carried_sigma) ** 2 + floors**2))
+        prediction = Prediction(
+            state.T_local_lidar @ T_prev_lidar, information, interval_s, float(sigmas[:3].max()), sigmas[3:]
+        )
+        # after a hole the prediction's error says nothing about this scan
+        again = self._redeskew and not state.hole_s and not state.carried_sigma.any()
+        return self._register(frame, prediction, base, again)
+
+    def _register(self, frame: FeatureFrame, prediction: Prediction, base: Array, again: bool) -> RegistrationResult:
+        """base (6,): what the scan is deskewed by before, on top of the edge's twist; again: and while it converges."""
+        result = self._registration.align(
+            self._local_map,
+            deskewed_again(frame.corners, base),
+            deskewed_again(frame.surfs, base),
+            (_seconds(frame.corners), _seconds(frame.surfs)),
+            prediction,
+            again,
+        )
+        return replace(result, delta_twist=result.delta_twist + base)
+
+    def _base_twist(self, frame: FeatureFrame, state: TrackerState, interval_s: float) -> Array:
+        """What to add to the edge's twist before registering: nothing, unless the server knows better.
+
+        It does while the edge has no velocity yet, and always when there is no IMU: the edge's twist is then two
+        scans old, the server's one.
+        """
+        inertial = frame.motion.gravity_sigma_rad < NO_IMU_SIGMA_RAD
+        if not self._redeskew or state.frames < 2 or (inertial and frame.motion.velocity_known):
+            return state.base_twist
+        base = state.twist - se3.log(frame.motion.T_prev_lidar) / interval_s
+        if inertial:
+            base[:3] = 0.0
+        return base
+
+    def backward(self, frame: FeatureFrame, later: Later) -> RegistrationResult:
+        """The scan before one that is placed, from that one's motion backwards in time."""
+        assert later.frame is not None
+        interval_s = max((later.stamp_ns - frame.stamp_ns) * 1e-9, 1e-3)
+        after, motion, s = later.frame.motion, frame.motion, self._settings
+        T_this_later, base = after.T_prev_lidar, np.zeros(6)
+        sigmas = np.sqrt(np.maximum(np.diag(after.covariance), 1e-12)) / interval_s
+        if not after.velocity_known:  # the way is the server's to know; the turn the IMU's, if there is one
+            T_this_later = se3.exp(later.twist * interval_s)
+            if after.gravity_sigma_rad < NO_IMU_SIGMA_RAD:
+                T_this_later[:3, :3] = after.T_prev_lidar[:3, :3]
+            sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
+        if self._redeskew and not motion.velocity_known:
+            base[3:] = later.twist[3:] - motion.velocity_lidar_mps
+        T = later.T_local_lidar @ se3.inv(T_this_later)
+        if not (len(frame.corners) or len(frame.surfs)):
+            return RegistrationResult.without_features(T, after.covariance)
+        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
+        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + floors**2))
+        prediction = Prediction(T, information, interval_s, float(sigmas[:3].max()), sigmas[3:])
+        return self._register(frame, prediction, base, self._redeskew)
+
+
+def deskewed_again(features: FeatureSet, delta_twist: Array) -> NDArray[np.float32]:
+    """The points (N, 3), deskewed again for another twist."""
+    if not delta_twist.any():
+        return features.points_lidar
+    points = features.points_lidar.astype(np.float64)
+    return deskew_again(points, _seconds(features), delta_twist).astype(np.float32)
+
+
+def _seconds(features: FeatureSet) -> Array:
+    return np.multiply(features.t_offset_ns, 1e-9, dtype=np.float64)
