@@ -16,6 +16,7 @@ from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
 from splitslam.errors import InputError
 from splitslam.metrics import Family
+from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService, Fault
 from tests.edge_agent.relay import CountingRelay
@@ -216,6 +217,7 @@ def test_an_outage_longer_than_the_buffer_drops_and_reports_but_goes_on():
     with uplink_to(service.address, settings, metrics) as uplink:
         send_all(uplink, 5)
         service.stop()
+        wait_until(lambda: bool(counted(metrics.reconnects)), 5.0, "a broken stream")  # until then frames are sent
         for seq in range(6, 26):
             uplink.send(frame(seq, dense=seq % 10 == 0))
         assert metrics.dropped["buffer_full"] == 15

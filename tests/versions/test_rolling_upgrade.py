@@ -32,7 +32,7 @@ from tests.versions.mixed import (
     wait_until,
 )
 
-SCANS = 200
+SCANS = 300
 
 
 @pytest.fixture
