@@ -45,6 +45,8 @@ def _welcomed(server: str, hello: pb.Hello) -> tuple[Robot7, pb.Welcome]:
     while True:
         robot = Robot7(server, hello)
         first = robot.inbox.get(timeout=_PATIENCE_S)
+        while first is not None and first.WhichOneof("message") == "credit":  # may come before
+            first = robot.inbox.get(timeout=_PATIENCE_S)
         if first is not None and first.WhichOneof("message") == "welcome":
             return robot, first.welcome
         robot.close()

@@ -19,6 +19,7 @@ class CountingRelay:
         self._sockets: list[socket.socket] = []
         self.up = self.down = 0
         self.away = False
+        self.turned_away = 0
         threading.Thread(target=self._accept, daemon=True).start()
 
     @property
@@ -32,6 +33,7 @@ class CountingRelay:
             except OSError:
                 return
             if self.away:
+                self.turned_away += 1
                 near.close()
                 continue
             far = socket.create_connection(self._target)

@@ -27,7 +27,7 @@ from splitslam.top.page import Page
 from splitslam.top.view import Screen
 from tests.map_service.harness import Robot7
 from tests.monitoring import harmed_drive, odd_frames
-from tests.monitoring.prometheus import Prometheus
+from tests.monitoring.prometheus import Prometheus, binary
 
 CALM, SICK = "rover-1", "rover-2"  # the network, disk and process of the first are harmed later, the other's sensors
 _STREAMS = 4  # that a robot may have open
@@ -79,7 +79,8 @@ def watched_fleet(folder: Path, rules: Path) -> Iterator[Watched]:
 
 
 def _prepare(folder: Path, cleanup: ExitStack) -> tuple[Stack, tuple[Drive, Drive]]:
-    """The stack starts while the drive is made."""
+    """The stack starts while the drive is made. Prometheus is fetched before: the drive does not wait for it later."""
+    binary("prometheus")
     pool = cleanup.enter_context(ThreadPoolExecutor(1))
     stack = Stack(folder / "stack", replicas=2, settings=_REPLICAS)
     starting = pool.submit(cleanup.enter_context, stack)

