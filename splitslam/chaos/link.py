@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -147,7 +148,8 @@ class Link:
     def _cut(self) -> None:
         for task, pair in self._connections.items():
             for end in pair:
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+                with suppress(OSError):  # it has just come to its end by itself
+                    end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
             task.cancel()
 
     async def _accept(self) -> None:
