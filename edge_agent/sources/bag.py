@@ -126,7 +126,10 @@ def _look_at(path: Path) -> None:
 
 def _reason(error: Exception) -> str:
     text = _one_line(error)
-    if any(hint in text.lower() for hint in ("index", "footer", "magic", "malformed", "chunk", "end of file")):
+    if any(
+        hint in text.lower()
+        for hint in ("index", "footer", "magic", "malformed", "chunk", "end of file", "memoryerror")
+    ):
         return f"truncated or damaged recording: {text}; expected a complete one (try `rosbag reindex`)"
     return f"not a readable recording: {text}"
 
