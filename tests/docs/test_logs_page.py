@@ -21,8 +21,8 @@ def g():
 
 
 def test_the_page_is_as_the_code_has_it() -> None:
-    page = make_logs.PAGE.read_text()
-    assert page == make_logs.filled(page), "stale: run python -m docs.make_logs"
+    page = make_logs.PAGE.path.read_text()
+    assert page == make_logs.PAGE.filled(page), "stale: run python -m docs.make_logs"
 
 
 def test_events_and_fields_are_read_from_the_calls() -> None:
@@ -36,7 +36,7 @@ def test_events_and_fields_are_read_from_the_calls() -> None:
 
 def test_a_field_has_one_name_on_both_sides() -> None:
     """A session is session_id, a run run_id: what logs.complete knows."""
-    page = make_logs.PAGE.read_text()
+    page = make_logs.PAGE.path.read_text()
     rows = [row for row in page.splitlines() if row.startswith("| ")]
     for wrong in ("`session`", "`run`", "`robot`", "`site`", "`trace`"):
         assert not [row for row in rows if wrong in row]
