@@ -63,7 +63,7 @@ def _texts(node: ast.expr, function: ast.AST) -> list[str]:
         return _texts(node.body, function) + _texts(node.orelse, function)
     if isinstance(node, ast.Name):
         return [text for value in _assigned(node.id, function) for text in _texts(value, function)]
-    return []
+    return [f"{{{ast.unparse(node)}}}"]
 
 
 def _fields(call: ast.Call, function: ast.AST) -> tuple[str, ...]:
