@@ -1,4 +1,4 @@
-"""Ratios of kernels to the reference, their bounds, and the verdict. `python -m tests.performance` takes bounds anew."""
+"""Ratios of kernels to the reference, their bounds, and the verdict; `python -m tests.performance` takes new bounds."""
 
 from __future__ import annotations
 
