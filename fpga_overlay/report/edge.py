@@ -57,12 +57,12 @@ class CoresLink(IdleLink):
 class EdgeRun:
     """Sees every scan between edge and map. rows: of the JSON, one a scan. fallbacks: scans that the cores refused."""
 
-    def __init__(self, board: Zcu104) -> None:
-        """InputError where the cores cannot be built."""
+    def __init__(self, board: Zcu104, top: VerilatedTop) -> None:
+        """top: both cores, of any size that holds the sensor."""
         self.rows: list[dict[str, Any]] = []
         self.fallbacks: Counter[str] = Counter()
         self._board = board
-        self._link = CoresLink(VerilatedTop(cores.RINGS, cores.COLUMNS), 1.0 - board.stream_share)
+        self._link = CoresLink(top, 1.0 - board.stream_share)
         self._simulated_ms = 0.0
 
     def image_node(self, rings: int, columns: int) -> AcceleratedImageNode:
@@ -111,7 +111,7 @@ class EdgeRun:
 def measure(recording: Path, robot: Path, max_scans: int | None) -> dict[str, Any]:
     """All scans. InputError for what cannot be read, held or built."""
     board = Zcu104()
-    run = EdgeRun(board)
+    run = EdgeRun(board, cores.both_cores())
     run_both(recording, robot, wire=run.wire, image_node=run.image_node, max_scans=max_scans)
     return {
         "label": "clocks of the RTL and CPU time here; never run on a board",

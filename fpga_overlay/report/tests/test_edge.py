@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from edge_agent.settings import PipelineSettings
+from fpga_overlay.cosim.verilated import VerilatedTop
 from fpga_overlay.report import edge
 from fpga_overlay.report.board import Zcu104
 from splitslam.bench.in_one_process import Seen, run_both
@@ -20,7 +21,7 @@ def run(shared_data: Path) -> tuple[edge.EdgeRun, list[bytes], list[bytes], floa
     """A run with the cores, its frames, those of one in software, and the CPU time that was simulated, ms."""
     drive = shared_data / "yard1/yard1.bag", shared_data / "yard1/yard1.yaml"
     with_cores, in_software = list[bytes](), list[bytes]()
-    made = edge.EdgeRun(Zcu104())
+    made = edge.EdgeRun(Zcu104(), VerilatedTop(16, 2048))
 
     def noting(seen: Seen):
         with_cores.append(seen.frame.payload)
