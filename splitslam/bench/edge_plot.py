@@ -89,7 +89,7 @@ def draw_histogram(axes: Axes, one: EdgeTimes) -> None:
     all_ms = np.concatenate([ms for ms, *_ in shown])
     bins = np.linspace(0.95 * float(all_ms.min()), 1.02 * float(all_ms.max()), _BINS + 1)
     for ms, face, edge, label in shown:
-        axes.hist(ms, bins=bins, histtype="stepfilled", facecolor=face, edgecolor=edge, lw=1.4, label=label)
+        axes.hist(ms, bins=bins.tolist(), histtype="stepfilled", facecolor=face, edgecolor=edge, lw=1.4, label=label)
     axes.grid(axis="x", visible=False)
     axes.set(xlabel="ms a scan, this CPU", ylabel="scans", title=f"{one.name}: histogram, this CPU")
     axes.legend(loc="upper right")

@@ -60,7 +60,7 @@ class GridLidar:
         column, ring = (a.ravel() for a in np.meshgrid(np.arange(grid.columns), np.arange(grid.rings), indexing="ij"))
         e = np.radians(grid.elevations_deg)[ring]
         along = np.stack([np.cos(e) * np.cos(azimuth[column]), np.cos(e) * np.sin(azimuth[column]), np.sin(e)], axis=1)
-        t_s = (k * turn_ns + column_ns) * 1e-9
+        t_s = np.asarray((k * turn_ns + column_ns) * 1e-9, np.float64)
         R, position = self._trajectory.poses(t_s)
         directions = np.einsum("cij,crj->cri", R, along.reshape(grid.columns, grid.rings, 3)).reshape(-1, 3)
         hits = self._beams.cast(k, t_s[column], position[column], directions)

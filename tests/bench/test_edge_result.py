@@ -27,22 +27,25 @@ def times(lidar: str = "64x2048", fast: bool = True, scale: float = 1.0) -> Edge
     return EdgeTimes("walk", lidar, 100_000.0, cpu, accelerated if fast else None)
 
 
+def series_of(one: EdgeTimes, what: str, how: str) -> np.ndarray:
+    ms = one.series()[what][how]
+    assert ms is not None
+    return ms
+
+
 def test_the_cores_and_the_processors_share_follow_each_other():
     one = times()
-    series = one.series()
-    assert one.accelerated is not None
-    np.testing.assert_allclose(series["deskew"]["here_fpga"], 1.0 + 2.0)
+    np.testing.assert_allclose(series_of(one, "deskew", "here_fpga"), 1.0 + 2.0)
     rest = sum(one.cpu_ms[stage] for stage in ("motion", "features", "encode"))
-    np.testing.assert_allclose(series["edge"]["here_fpga"], rest + 1.0 + 2.0)
+    np.testing.assert_allclose(series_of(one, "edge", "here_fpga"), rest + 1.0 + 2.0)
 
 
 def test_the_boards_times_are_predicted_from_those_here_by_one_factor():
     one = times()
-    series = one.series()
-    np.testing.assert_allclose(series["edge"]["a53"], A53_FACTOR * one.cpu_ms["total"])
+    np.testing.assert_allclose(series_of(one, "edge", "a53"), A53_FACTOR * one.cpu_ms["total"])
     rest = sum(one.cpu_ms[stage] for stage in ("motion", "features", "encode"))
-    np.testing.assert_allclose(series["edge"]["a53_fpga"], A53_FACTOR * rest + 11.0)
-    np.testing.assert_allclose(series["deskew"]["a53_fpga"], 11.0)
+    np.testing.assert_allclose(series_of(one, "edge", "a53_fpga"), A53_FACTOR * rest + 11.0)
+    np.testing.assert_allclose(series_of(one, "deskew", "a53_fpga"), 11.0)
 
 
 def test_the_share_of_late_scans_is_that_over_the_time_of_a_scan():
