@@ -188,6 +188,44 @@ def bench_partition(
     print(f"{out / 'partition.json'}\n{out / 'partition.png'}")
 
 
+@bench.command("edge")
+def bench_edge(
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="[RECORDING...]", help="Bags, robot file beside each; none: made.")
+    ] = None,
+    robot: Annotated[Path | None, typer.Option(metavar="FILE", help="Robot file of a single recording.")] = None,
+    grids: Annotated[
+        str, typer.Option(metavar="LIST", help="LiDARs of made drives, RINGSxCOLUMNS.")
+    ] = "16x1800,32x1800,64x2048,128x2048",
+    seconds: Annotated[float, typer.Option(metavar="S", help="Length of a made drive.")] = 8.0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where edge.json, edge.png, made/ go.")] = Path("out/edge"),
+    max_scans: Annotated[int | None, typer.Option(metavar="N", help="Read only so many scans of each.")] = None,
+    fpga: Annotated[bool, typer.Option("--fpga/--no-fpga", help="With the simulated cores as well.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print edge.json.")] = False,
+) -> None:
+    """How long the edge takes for a scan, with and without FPGA: Tables V and VI, Figures 10 and 11."""
+    import json
+
+    from splitslam.run.options import check_installed
+    from splitslam.run.progress import Progress
+
+    check_installed(("viz", "edge", "server") if recordings else ("viz", "edge", "server", "sim"))
+    from splitslam.bench.edge_made import grids as parsed
+    from splitslam.bench.options import EdgeOptions
+
+    options = EdgeOptions(tuple(recordings or ()), out, robot, parsed(grids), seconds, max_scans, fpga)
+    from splitslam.bench.edge import bench_edge as measure
+    from splitslam.bench.edge_show import show
+
+    with Progress() as progress:
+        found, result = measure(options, progress)
+    if as_json:
+        print(json.dumps(result, allow_nan=False))
+        return
+    show(found, result["with_fpga"])
+    print(f"{out / 'edge.json'}\n{out / 'edge.png'}")
+
+
 @bench.command("delay")
 def bench_delay(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A bag, robot file beside it.")],
