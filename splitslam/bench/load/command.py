@@ -21,7 +21,7 @@ _AT_MOST = 128
 
 @dataclass(frozen=True, slots=True)
 class LoadOptions:
-    """recording: None for a made drive, kept in `out`. robots: None for the search. workers: 0: as the service likes."""
+    """recording: None for a made drive, kept in `out`. robots: None for the search. workers: 0: its default."""
 
     out: Path
     recording: Path | None = None

@@ -1,7 +1,8 @@
 """Many robots in one thread: encoded frames by the clock over real gRPC, a connection each, no edge behind them.
 
 An edge agent's own uplink takes four threads a robot, which is right for one robot, but forty of them on the service's
-cores would measure the generator. Here a frame is serialised once for all robots, and a robot costs what asyncio and gRPC cost.
+cores would measure the generator. Here a frame is serialised once for all robots, and a robot costs what asyncio and
+gRPC cost.
 """
 
 from __future__ import annotations
