@@ -92,6 +92,13 @@ class Keyframes:
         assert len(poses) == len(self)
         self._poses.matrices[:] = np.asarray(poses)
 
+    def place(self, poses: Array, fixed: set[int]) -> None:
+        """New poses (n, 4, 4) for those that are not `fixed`: the local map has these where they were."""
+        kept = sorted(fixed)
+        then = self._poses.matrices[kept]
+        self._poses.matrices[:] = poses
+        self._poses.matrices[kept] = then
+
     def within(self, centre_m: Array, radius_m: float) -> list[int]:
         """The keyframes within the radius of a point (3,) in `local`."""
         away_m = np.linalg.norm(self._poses.positions_m - centre_m, axis=1)

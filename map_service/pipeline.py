@@ -27,6 +27,7 @@ from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import PipelineStatistics, effort, outcomes
 from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
+from map_service.surroundings import Surroundings
 from map_service.tracker import Track, Tracker
 from map_service.tracker_state import TrackerState
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot, State
@@ -64,12 +65,11 @@ class MapPipeline:
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
         self.found = False  # has the robot been lost, and found again, since the last keyframe?
-        self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
+        self.surroundings = Surroundings(settings.tracker.local_map)
         self.frames: list[FrameRecord] = []  # since the start or the restart, but for what the store has
         self.mapped = 0
         self.stats = PipelineStatistics()
         self.log = persistence.CommitLog()
-        self._stored: tuple[int, Fetch] | None = None
 
     def process(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:
         """Maps one frame; frames come once and in order."""
@@ -80,6 +80,7 @@ class MapPipeline:
         if track.first_again is not None:
             self.keyframes.replace_first(*track.first_again)
             self.log.keyframe(self.keyframes[0], self.graph.poses[0])
+            self.fill_local_map()  # with what is kept of its points, so that they can be taken out again
         if before is not None and (r := track.registration) is not None and r.features:
             moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
             self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
@@ -96,7 +97,14 @@ class MapPipeline:
         answer = self._answer(frame, track, keyframe, found or correction, started, registered)
         self.frames.append(self.log.frame(answer, self.ground.reference, self.graph.poses[self.ground.reference]))
         self.mapped += 1
+        state = self.tracker.state
+        assert state is not None
+        self.surroundings.follow(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes, self._corrected)
         return answer
+
+    def _corrected(self) -> Array:
+        """(n, 4, 4): the keyframes in `local`, where the graph has them."""
+        return se3.inv(self.T_map_local) @ self.graph.poses.matrices
 
     # --- graph ------------------------------------------------------------------------------------------------
 
@@ -110,7 +118,6 @@ class MapPipeline:
             return False
         self.ground.reference = covering
         self.tracker.refer(self.keyframes.T_local(covering))
-        self._rebuild_when_far(track)
         return True
 
     def _add_keyframe(self, frame: FeatureFrame, track: Track) -> None:
@@ -138,12 +145,6 @@ class MapPipeline:
         self.log.keyframe(added, T_map_lidar)
         if self.closer is not None:
             self.closer.look(frame.seq, self.keyframes, self.graph.poses, self.graph.loops)
-        self._rebuild_when_far(track)
-
-    def _rebuild_when_far(self, track: Track) -> None:
-        far_m = self.settings.tracker.local_map.rebuild_distance_m
-        if np.linalg.norm(track.T_local_lidar[:3, 3] - self.built_at_m) > far_m:
-            self._rebuild()
 
     def _chain(self) -> Chain:
         return Chain(self.graph.poses, self.keyframes.way_m(), self.graph.loops, self.keyframes.branches)
@@ -279,8 +280,7 @@ class MapPipeline:
     def _bent(self) -> bool:
         """Do the corrected keyframes no longer lie where the local map has their points?"""
         s, inserted = self.settings.graph, sorted(self.tracker.local_map.keyframes)
-        then, now = self.keyframes.poses_local()[inserted], self.graph.poses.matrices[inserted]
-        now = se3.inv(self.T_map_local) @ now
+        then, now = self.keyframes.poses_local()[inserted], self._corrected()[inserted]
         off_m = np.linalg.norm(now[:, :3, 3] - then[:, :3, 3], axis=1)
         cosine = (np.einsum("nij,nij->n", now[:, :3, :3], then[:, :3, :3]) - 1.0) / 2.0
         return bool((off_m > s.rebuild_m).any() or (cosine < np.cos(s.rebuild_rad)).any())
@@ -301,20 +301,10 @@ class MapPipeline:
         self.fill_local_map()
 
     def fill_local_map(self) -> None:
-        """Inserts every keyframe within the radius of the robot into an empty local map."""
+        """Every keyframe within the radius of the robot. Raises CloudsAwayError."""
         state = self.tracker.state
         assert state is not None
-        centre = state.T_local_lidar[:3, 3]
-        self.built_at_m = centre.copy()
-        self.tracker.local_map.clear()
-        s = self.settings.tracker.local_map
-        near = self.keyframes.within(centre, s.radius_m)
-        for i, cloud in zip(near, self.keyframes.clouds.get(near), strict=True):
-            self.tracker.insert(i, self.keyframes.T_local(i), cloud.corners_lidar, cloud.surfs_lidar)
-        if self._stored is not None:
-            seq, fetch = self._stored
-            soon = self.keyframes.within(centre, s.radius_m + s.rebuild_distance_m)
-            self.keyframes.clouds.keep(set(soon), self.keyframes.up_to_seq(seq), fetch)
+        self.surroundings.fill(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes)
 
     # --- answers ----------------------------------------------------------------------------------------------
 
@@ -380,7 +370,7 @@ class MapPipeline:
 
     def stored(self, seq: int, fetch: Fetch) -> None:
         """Frames up to `seq` are in the store, and clouds can be had from there: memory is for what is near."""
-        self._stored = seq, fetch
+        self.surroundings.stored = seq, fetch
         self.log.stored(seq, self.graph)
         self.frames = [f for f in self.frames if f.seq > seq]
 
