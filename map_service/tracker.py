@@ -262,7 +262,8 @@ class Tracker:
             bad_frames,
             frame.seq,
         )
-        delta = result.delta_twist if good and self.redeskew else np.zeros(6)
+        # only a keyframe's points are asked for again
+        delta = result.delta_twist if keyframe and self.redeskew else np.zeros(6)
         return Track(
             T, result, status, keyframe, deskewed_again(frame.corners, delta), deskewed_again(frame.surfs, delta)
         )

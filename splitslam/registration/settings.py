@@ -47,6 +47,7 @@ class RegistrationSettings(Model):
     converged_rad: float = 2e-5
     degenerate_information: float = 400.0
     degenerate_ratio: float = 10.0
+    rematch_m: float = Field(default=0.002, description="points are matched again when the pose has moved by so much")
     lever_m: float = Field(default=5.0, description="rotation counts as this lever arm when axes are compared")
 
     @property
