@@ -276,7 +276,7 @@ class _Sink:
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: Array) -> pb.Frame:
         self._out.scans_odom.add(frame.stamp_ns, T_odom_lidar)
         self._out.scans_map.add(frame.stamp_ns, self._out.node.T_map_odom @ T_odom_lidar)
-        return frame_message(frame, codec.CODEC_VERSION, "run")
+        return frame_message(frame, codec.CODEC_VERSION)
 
     def on_answer(self, answer: Answer) -> None: ...
 

@@ -76,7 +76,7 @@ def record(
                 sent = edge.process(item)
             except DataError:
                 continue
-            frames.append(frame_message(sent, codec.CODEC_VERSION, "reel"))
+            frames.append(frame_message(sent, codec.CODEC_VERSION))
             a = service.process(codec.decode(sent.payload, sent.seq, sent.stamp_ns, sent.dense, beams))
             answers.append(a.T_map_lidar)
             pose = (a.T_map_lidar, a.T_map_odom, a.covariance)
