@@ -7,13 +7,14 @@ from functools import partial
 
 from docs.made import MadePage
 from edge_agent.metric_list import EDGE_METRICS
-from map_service.metric_list import MAP_METRICS, ROBOT_METRICS
+from map_service.metric_list import SERVICE_METRICS
+from map_service.robot_metric_list import ROBOT_METRICS
 from splitslam.metrics import BUILD_INFO, OTHER, Label, Metric
 
 METRICS = {
     "both": (BUILD_INFO,),
     "edge": EDGE_METRICS,
-    "service": tuple(metric for metric in MAP_METRICS if metric not in ROBOT_METRICS),
+    "service": SERVICE_METRICS,
     "robots": ROBOT_METRICS,
 }
 
