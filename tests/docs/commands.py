@@ -39,6 +39,12 @@ def shown_in(text: str) -> list[str]:
     return [c for c in commands if c.partition(" ")[0] in (*PROGRAMS, "make") and " " in c]
 
 
+def python_in(text: str) -> list[str]:
+    """Code spans that run something of this repository by Python or pytest."""
+    spans = SPAN.findall(FENCE.sub("", text))
+    return [span for span in spans if re.match(r"(\.venv/bin/)?(python -m|pytest) [a-z]", span)]
+
+
 @cache
 def _root(program: str) -> TyperGroup | TyperCommand:
     root = typer.main.get_command(import_module(PROGRAMS[program]).app)
@@ -80,7 +86,11 @@ def mistake_in(line: str) -> str | None:
     if program == "make":
         return problem_with(line) or _not_made(words[1:])
     if program in PYTHON and words[1:2] == ["-m"]:
-        return _not_a_module(words[2], words[3:])
+        program, words = words[2], words[2:]
+        if program != "pytest":
+            return _not_a_module(program, words[1:])
+    if program == "pytest":
+        return _no_tests(words[1:])
     node, rest = _leaf(program, words[1:])
     if isinstance(node, TyperGroup):
         return problem_with(" ".join((program, *words[1:])))
@@ -116,6 +126,11 @@ def _not_made(words: list[str]) -> str | None:
     return done.stderr.strip() if done.returncode else None
 
 
+def _no_tests(words: list[str]) -> str | None:
+    missing = [word for word in words if word.startswith("tests/") and not (ROOT / word).exists()]
+    return f"pytest: no {missing[0]}" if missing else None
+
+
 def _not_a_module(module: str, options: list[str]) -> str | None:
     """By the files alone: importing some of them takes seconds."""
     path = ROOT.joinpath(*module.split("."))
@@ -123,5 +138,11 @@ def _not_a_module(module: str, options: list[str]) -> str | None:
         raise KeyError(module)
     package = path if path.is_dir() else path.parent  # options that several have are in a file of their own
     text = "".join(file.read_text() for file in package.glob("*.py"))
-    unknown = [option for option in options if option.startswith("--") and f'"{option.partition("=")[0]}"' not in text]
+    names = [option.partition("=")[0] for option in options if option.startswith("--")]
+    unknown = [name for name in names if f'"{name}"' not in text and not _is_parameter(name, text)]
     return f"python -m {module}: no option {unknown[0]}" if unknown else None
+
+
+def _is_parameter(option: str, text: str) -> bool:
+    """A typer command's option is called as its parameter is."""
+    return re.search(rf"\b{option.lstrip('-').replace('-', '_')}: Annotated\[", text) is not None

@@ -13,6 +13,7 @@ TYPED_BY = {
     "docs/robot.md": "tests/systemd/test_robot_guide.py:test_every_command_of_the_guide_works_in_its_order",
     "docs/security.md": "tests/security/test_guide.py:test_the_set_up_of_the_guide_works_as_it_stands",
     "docs/store.md": "tests/docs/test_store_page.py:test_every_command_of_the_page_works",
+    "docs/simulator.md": "tests/docs/test_simulator_page.py:test_every_command_of_the_page_works",
     "docs/server.md#Certificates": "tests/deploy/test_server_guide.py:"
     "test_each_container_can_read_its_certificates_and_no_other_s",
     "docs/server.md#Secrets": "tests/deploy/test_server_guide.py:"

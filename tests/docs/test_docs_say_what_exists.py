@@ -62,6 +62,12 @@ def test_every_command_in_a_document_can_be_typed(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_every_module_and_test_that_a_document_says_to_run_is_there(document: Path) -> None:
+    shown = commands.python_in((ROOT / document).read_text())
+    assert not [problem for command in shown if (problem := commands.mistake_in(command))]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
 def test_every_link_and_picture_of_a_document_leads_to_a_file(document: Path) -> None:
     path = ROOT / document
     missing = [target for target in LINK.findall(path.read_text()) if not (path.parent / target).exists()]
