@@ -23,19 +23,32 @@ POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")
 
 
 class Peer(Protocol):
-    """A system under comparison, fed in order of time.
+    """A system under comparison, fed in order of time: what it costs is `imu` and `scan`.
 
     covered: whether the IMU's first sample at or after a scan's end comes before the scan; otherwise after it.
+    What `sample` and `cloud` do, its own types made of our arrays, is the reader's work and not the peer's.
     """
 
     covered: bool
 
-    def imu(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> None:
-        """One sample, frame `imu`."""
+    def sample(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> Any:
+        """One IMU sample, frame `imu`, as the peer takes it."""
         ...
 
-    def scan(self, stamp_ns: int, end_ns: int, points: NDArray) -> list[tuple[int, Array]]:
-        """One scan (POINT) -> new poses (stamp_ns, T_world_lidar (4, 4))."""
+    def cloud(self, stamp_ns: int, end_ns: int, points: NDArray) -> Any:
+        """One scan (POINT) as the peer takes it."""
+        ...
+
+    def imu(self, sample: Any) -> None:
+        """The peer's work for a sample."""
+        ...
+
+    def scan(self, cloud: Any) -> Any:
+        """The peer's work for a scan -> what `poses` is made of."""
+        ...
+
+    def poses(self, found: Any) -> list[tuple[int, Array]]:
+        """New poses (stamp_ns, T_world_lidar (4, 4)); not the peer's work either."""
         ...
 
 
@@ -54,13 +67,26 @@ class KissIcp:
         config.registration.max_num_threads = 1
         self._odometry = KissICP(config)
 
-    def imu(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> None:
+    def sample(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> None:
         """Not used."""
 
-    def scan(self, stamp_ns: int, end_ns: int, points: NDArray) -> list[tuple[int, Array]]:
+    def cloud(self, stamp_ns: int, end_ns: int, points: NDArray) -> tuple[int, Array, Array]:
         """Times go in as they are: it takes the fraction of the scan itself."""
-        self._odometry.register_frame(_xyz(points), points["t"] * 1e-9)
-        return [(stamp_ns, self._odometry.last_pose.copy())]
+        return stamp_ns, _xyz(points), points["t"] * 1e-9
+
+    def imu(self, sample: None) -> None:
+        """Not used."""
+
+    def scan(self, cloud: tuple[int, Array, Array]) -> tuple[int, Array]:
+        """Deskew, registration, map."""
+        stamp_ns, points, times_s = cloud
+        self._odometry.register_frame(points, times_s)
+        return stamp_ns, self._odometry.last_pose
+
+    def poses(self, found: tuple[int, Array]) -> list[tuple[int, Array]]:
+        """The scan's."""
+        stamp_ns, pose = found
+        return [(stamp_ns, pose.copy())]
 
 
 class RkoLio:
@@ -71,24 +97,36 @@ class RkoLio:
     def __init__(self, sensors: dict[str, Any]) -> None:
         from rko_lio.config import LIOConfig
         from rko_lio.lio import LIO
+        from rko_lio.rko_lio_pybind import InputError
 
+        self._refused = InputError
         lidar = sensors["lidar"]
         config = LIOConfig(min_range=lidar["min_range_m"], max_range=lidar["max_range_m"], max_num_threads=1)
         self._lio, self._T_lidar_imu = LIO(config), np.array(sensors["T_lidar_imu"])
 
-    def imu(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> None:
+    def sample(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> tuple[Array, Array, int]:
         """Specific force and rate, frame `imu`."""
-        self._lio.add_imu_measurement(accel_mps2, gyro_radps, stamp_ns, extrinsic_imu2base=self._T_lidar_imu)
+        return accel_mps2, gyro_radps, stamp_ns
 
-    def scan(self, stamp_ns: int, end_ns: int, points: NDArray) -> list[tuple[int, Array]]:
-        """Absolute times; a scan that it refuses has no pose."""
-        from rko_lio.rko_lio_pybind import InputError
+    def cloud(self, stamp_ns: int, end_ns: int, points: NDArray) -> tuple[Any, ...]:
+        """Absolute times."""
+        return _xyz(points), stamp_ns + points["t"].astype(np.int64), None, stamp_ns, end_ns
 
+    def imu(self, sample: tuple[Array, Array, int]) -> None:
+        """Integrated."""
+        self._lio.add_imu_measurement(*sample, extrinsic_imu2base=self._T_lidar_imu)
+
+    def scan(self, cloud: tuple[Any, ...]) -> tuple[int, Array] | None:
+        """None for a scan that it refuses."""
         try:
-            self._lio.register_scan(_xyz(points), stamp_ns + points["t"].astype(np.int64), None, stamp_ns, end_ns)
-        except InputError:
-            return []
-        return [(stamp_ns, self._lio.pose().copy())]
+            self._lio.register_scan(*cloud)
+        except self._refused:
+            return None
+        return cloud[3], self._lio.pose()
+
+    def poses(self, found: tuple[int, Array] | None) -> list[tuple[int, Array]]:
+        """The scan's, if it has one."""
+        return [] if found is None else [(found[0], found[1].copy())]
 
 
 class Evalio:
@@ -141,13 +179,12 @@ class Evalio:
             for name, (field, offset, *_) in (POINT.fields or {}).items()
         ]
 
-    def imu(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> None:
+    def sample(self, stamp_ns: int, gyro_radps: Array, accel_mps2: Array) -> Any:
         """Specific force and rate, frame `imu`."""
-        stamp = self._types.Stamp.from_nsec(stamp_ns)
-        self._pipeline.add_imu(self._types.ImuMeasurement(stamp, gyro_radps, accel_mps2))
+        return self._types.ImuMeasurement(self._types.Stamp.from_nsec(stamp_ns), gyro_radps, accel_mps2)
 
-    def scan(self, stamp_ns: int, end_ns: int, points: NDArray) -> list[tuple[int, Array]]:
-        """The poses that have become ready."""
+    def cloud(self, stamp_ns: int, end_ns: int, points: NDArray) -> Any:
+        """evalio's measurement, by its own conversion of a PointCloud2."""
         grid = in_grid(points, self._rings, self._columns, end_ns - stamp_ns)
         cloud = self._helpers.PointCloudMetadata(
             stamp=self._types.Stamp.from_nsec(stamp_ns),
@@ -160,9 +197,20 @@ class Evalio:
         )
         measurement = self._helpers.pc2_to_evalio(cloud, self._fields, grid.tobytes())
         self._helpers.fill_col_row_major(measurement)
-        self._pipeline.add_lidar(measurement)
-        saved = self._pipeline.saved_estimates()
-        return [(stamp.to_nsec(), pose.to_mat() @ self._T_imu_lidar) for stamp, pose in saved]
+        return measurement
+
+    def imu(self, sample: Any) -> None:
+        """Integrated, and for LIO-SAM a step of its graph."""
+        self._pipeline.add_imu(sample)
+
+    def scan(self, cloud: Any) -> Any:
+        """The poses that have become ready, evalio's."""
+        self._pipeline.add_lidar(cloud)
+        return self._pipeline.saved_estimates()
+
+    def poses(self, found: Any) -> list[tuple[int, Array]]:
+        """Frame `lidar`."""
+        return [(stamp.to_nsec(), pose.to_mat() @ self._T_imu_lidar) for stamp, pose in found]
 
 
 def in_grid(points: NDArray, rings: int, columns: int, duration_ns: int) -> NDArray:
@@ -215,25 +263,37 @@ def steps(folder: Path, covered: bool) -> Iterator[tuple[NDArray, NDArray]]:
 
 
 def main() -> None:
-    """Feeds the peer and writes stamps_ns (N,), T_world_lidar (N, 4, 4) and cpu_s (scans,): CPU time of each scan."""
+    """Feeds the peer; writes stamps_ns (N,), T_world_lidar (N, 4, 4), and by scan (scans,) cpu_s and prepare_s.
+
+    cpu_s: CPU time of the whole process in the peer's own calls; prepare_s: in making its input.
+    """
     name, folder, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     sensors = json.loads((folder / "sensors.json").read_text())
     points = np.memmap(folder / "points.bin", POINT, "r")
     peer: Peer = PEERS[name](sensors)
     poses: list[tuple[int, Array]] = []
-    cpu_s = []
+    times_s = []
     for samples, scan in steps(folder, peer.covered):
-        cloud = np.array(points[scan["begin"] : scan["end"]])
+        given = np.array(points[scan["begin"] : scan["end"]])  # off the disk: in neither time
         begun_s = time.process_time()
-        for sample in samples:
-            peer.imu(int(sample["stamp_ns"]), sample["gyro_radps"].copy(), sample["accel_mps2"].copy())
-        poses += peer.scan(int(scan["stamp_ns"]), int(scan["end_ns"]), cloud)
-        cpu_s.append(time.process_time() - begun_s)
+        imu = [
+            peer.sample(int(sample["stamp_ns"]), sample["gyro_radps"].copy(), sample["accel_mps2"].copy())
+            for sample in samples
+        ]
+        cloud = peer.cloud(int(scan["stamp_ns"]), int(scan["end_ns"]), given)
+        prepared_s = time.process_time()
+        for sample in imu:
+            peer.imu(sample)
+        found = peer.scan(cloud)
+        times_s.append((time.process_time() - prepared_s, prepared_s - begun_s))
+        poses += peer.poses(found)
+    cpu_s, prepare_s = np.array(times_s).reshape(-1, 2).T
     np.savez(
         out,
         stamps_ns=np.array([stamp for stamp, _ in poses], np.int64),
         T_world_lidar=np.array([T for _, T in poses]).reshape(-1, 4, 4),
-        cpu_s=np.array(cpu_s),
+        cpu_s=cpu_s,
+        prepare_s=prepare_s,
     )
 
 

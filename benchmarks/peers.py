@@ -23,14 +23,16 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "TBB_NUM_THREADS", "OPENBLAS_NUM
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeerRun:
-    """trajectory: T_world_lidar as the peer stamps it, None when it gave up. cpu_ms: mean CPU time a scan.
+    """trajectory: T_world_lidar as the peer stamps it, None when it gave up.
 
+    cpu_ms: mean CPU time a scan of all its threads; prepare_ms: of making its input besides, no work of the peer.
     ended: how the process ended: "" or the last line of its errors.
     """
 
     trajectory: Trajectory | None
     cpu_ms: float | None
     ended: str
+    prepare_ms: float | None = None
 
 
 def check_peers_installed() -> None:
@@ -66,4 +68,5 @@ def run_peer(name: str, dump: Path, work: Path) -> PeerRun:
         T = poses["T_world_lidar"]
         quats = np.array([se3.quat_from_matrix(R) for R in T[:, :3, :3]]).reshape(-1, 4)
         trajectory = Trajectory(poses["stamps_ns"].astype(np.int64), T[:, :3, 3].copy(), quats)
-        return PeerRun(trajectory if len(T) else None, float(poses["cpu_s"].mean() * 1e3), "")
+        cpu_ms, prepare_ms = (float(poses[key].mean() * 1e3) for key in ("cpu_s", "prepare_s"))
+        return PeerRun(trajectory if len(T) else None, cpu_ms, "", prepare_ms)

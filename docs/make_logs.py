@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import ast
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 
-ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "logs.md"
-_BEGIN, _END = "<!-- {}: made by `python -m docs.make_logs` -->", "<!-- end of {} -->"
-TABLES = {"edge": ("edge_agent", "splitslam/security"), "service": ("map_service",)}
+from docs.made import ROOT, MadePage
+
+FOLDERS = {"edge": ("edge_agent", "splitslam/security"), "service": ("map_service",)}
 LEVELS = ("critical", "error", "exception", "warning", "info", "debug")
 
 
@@ -24,28 +21,6 @@ class Line:
     level: str
     fields: tuple[str, ...]
     traceback: bool
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="only say whether the page is as the code has it")
-    text = PAGE.read_text()
-    made = filled(text)
-    if parser.parse_args().check:
-        sys.exit(0 if made == text else f"{PAGE}: not as the code has it; run python -m docs.make_logs")
-    PAGE.write_text(made)
-
-
-def filled(text: str) -> str:
-    """The page with its tables made anew."""
-    for name, folders in TABLES.items():
-        begin, end = _BEGIN.format(name), _END.format(name)
-        before, _, rest = text.partition(begin)
-        _, found, after = rest.partition(end)
-        if not found:
-            raise ValueError(f"{PAGE}: expected the lines {begin!r} and {end!r}")
-        text = f"{before}{begin}\n{table(folders)}\n{end}{after}"
-    return text
 
 
 def table(folders: tuple[str, ...]) -> str:
@@ -88,7 +63,7 @@ def _texts(node: ast.expr, function: ast.AST) -> list[str]:
         return _texts(node.body, function) + _texts(node.orelse, function)
     if isinstance(node, ast.Name):
         return [text for value in _assigned(node.id, function) for text in _texts(value, function)]
-    return []
+    return [f"{{{ast.unparse(node)}}}"]
 
 
 def _fields(call: ast.Call, function: ast.AST) -> tuple[str, ...]:
@@ -124,5 +99,7 @@ def _keys(node: ast.expr) -> list[str]:
     return [str(key.value) for key in keys if isinstance(key, ast.Constant)]
 
 
+PAGE = MadePage("logs", {side: partial(table, folders) for side, folders in FOLDERS.items()})
+
 if __name__ == "__main__":
-    main()
+    PAGE.main(__doc__)

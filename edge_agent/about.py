@@ -13,6 +13,7 @@ from typing import Any
 from edge_agent.config import AgentConfig
 from edge_agent.kernel_cache import KernelReport
 from splitslam import __version__
+from splitslam.logs import fields
 from splitslam.redact import Redactor
 from splitslam.robot import Robot, robot_to_yaml
 
@@ -31,7 +32,7 @@ def write_about(config: AgentConfig, robot: Robot, kernels: KernelReport, metric
         part.write_text(json.dumps(_about(config, robot, kernels, metrics_port), indent=1))
         part.replace(config.state_dir / NAME)
     except OSError as error:
-        _log.warning("%s: not written: %s", NAME, error)
+        _log.warning("start not noted", extra=fields(file=NAME, detail=str(error)))
 
 
 def _about(config: AgentConfig, robot: Robot, kernels: KernelReport, metrics_port: int | None) -> dict[str, Any]:

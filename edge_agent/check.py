@@ -24,6 +24,7 @@ from splitslam.check.coarse import thinned
 from splitslam.check.findings import Finding, Severity, note, problems
 from splitslam.check.imu_verdict import ImuVerdict, judge
 from splitslam.check.motion import LidarMotion
+from splitslam.logs import fields
 from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan
 
@@ -154,7 +155,8 @@ class LiveCheck:
         for finding in wrong:
             if finding.where not in self._told:
                 self._told.add(finding.where)
-                _log.warning("check: %s", finding.line)
+                said = fields(where=finding.where, detail=finding.what, expected=finding.expected)
+                _log.warning("robot file and data disagree", extra=said)
 
 
 def _without_figures(finding: Finding) -> Finding:

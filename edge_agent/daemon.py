@@ -257,9 +257,7 @@ class _Run:
         if after.seq:
             self._pipeline.seq, self._tally.first_seq = after.seq, after.seq + 1
             self._pipeline.imu = UnseenMotion(self._imu, after.stamp_ns)
-            _log.warning(
-                "continued after scan %d", after.seq, extra=fields(run_id=self._store.run.value, seq=after.seq)
-            )
+            _log.warning("run continued", extra=fields(run_id=self._store.run.value, seq=after.seq))
 
     def _nothing_usable(self) -> None:
         if self._pipeline.seq == 0:

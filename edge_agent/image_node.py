@@ -18,6 +18,7 @@ from edge_agent.features.projection import Image, Projector
 from edge_agent.settings import PipelineSettings
 from splitslam.errors import InputError
 from splitslam.features import Knots
+from splitslam.logs import fields
 from splitslam.scan import Scan
 
 _log = logging.getLogger(__name__)
@@ -104,8 +105,8 @@ def make_image_node(settings: PipelineSettings, rings: int, columns: int) -> Ima
         try:
             node = open_accelerated(settings, on_cpu("cpu"), rings, columns)
         except InputError as error:
-            _log.info("deskew: cpu (%s)", error)
+            _log.info("deskew chosen", extra=fields(name="cpu", detail=str(error)))
         else:
-            _log.info("deskew: %s", node.name)
+            _log.info("deskew chosen", extra=fields(name=node.name))
             return node
     return on_cpu(settings.deskew)

@@ -24,6 +24,7 @@ from typing import BinaryIO
 
 from edge_agent.config import RawRingConfig
 from splitslam.errors import InputError
+from splitslam.logs import fields
 
 _log = logging.getLogger(__name__)
 
@@ -84,7 +85,7 @@ class RawRing:
             self._failed = False
         except OSError as error:
             if not self._failed:
-                _log.error("raw_ring: %s; raw messages are not kept", error)
+                _log.error("raw messages not kept", extra=fields(detail=str(error)))
             self._failed = True
             self._end_file()
             self._again_s = time.monotonic() + _AGAIN_S

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from splitslam import codec
 from splitslam.codec import DecodeError
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.robot import robot_from_yaml
 from splitslam.wire import session_pb2 as pb
 
@@ -33,7 +34,7 @@ class Recoding:
         """Takes the service's version; it says 0 when it does not tell."""
         before, self.codec_version = self.codec_version, welcome.codec_version or codec.CODEC_VERSION
         if self.codec_version < min(before, codec.CODEC_VERSION):
-            _log.warning("the map service reads codec version %d: frames are recoded", self.codec_version)
+            _log.warning("frames are recoded for an older map service", extra=fields(codec_version=self.codec_version))
 
     def readable(self, frame: pb.Frame) -> pb.Frame:
         """The frame as the service reads it, itself when it does already.
@@ -45,7 +46,8 @@ class Recoding:
         try:
             payload = codec.recode(frame.payload, self.codec_version, self._beams_rad, self._image_columns())
         except (DecodeError, InputError, ValueError) as error:
-            _log.warning("frame %d: not recoded to codec version %d: %s", frame.seq, self.codec_version, error)
+            said = fields(seq=frame.seq, codec_version=self.codec_version, detail=str(error))
+            _log.warning("frame not recoded", extra=said)
             return frame
         again = pb.Frame()
         again.CopyFrom(frame)

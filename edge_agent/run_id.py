@@ -13,6 +13,7 @@ from pathlib import Path
 
 from edge_agent.spool.spool import kind_of
 from splitslam.errors import InputError
+from splitslam.logs import fields
 
 MAX_GAP_S = 30.0
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -58,7 +59,9 @@ class RunState:
         except OSError as error:
             if kind_of(error) not in ("full", "read_only"):
                 raise InputError(f"state_dir: {error}; expected a directory that can be written") from None
-            _log.error("state_dir: %s; an agent that restarts now begins a new run", error)
+            _log.error(
+                "run id not saved: a restart begins a new run", extra=fields(run_id=resumable.value, detail=str(error))
+            )
         return resumable
 
     def _resumable(self) -> RunId | None:
@@ -83,7 +86,7 @@ class RunState:
         try:
             self._write(run, spooled)
         except OSError as error:  # it must not end the run; a restart would then begin a new one
-            _log.warning("run id not saved: %s", error)
+            _log.warning("run id not saved", extra=fields(run_id=run.value, detail=str(error)))
         return True
 
     def _write(self, run: RunId, spooled: bool) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from edge_agent.config import ENVIRONMENT_PREFIX, AgentConfig
 from splitslam.config import load
 from splitslam.errors import InputError
-from splitslam.logs import configure_logs
+from splitslam.logs import configure_logs, fields
 from splitslam.notify import Notifier
 
 _log = logging.getLogger(__name__)
@@ -63,15 +63,17 @@ class Reloader(threading.Thread):
         try:
             new = in_service_folders(load(AgentConfig, self._path, ENVIRONMENT_PREFIX), os.environ)
         except InputError as error:
-            _log.error("not reloaded: %s", error)
+            _log.error("not reloaded", extra=fields(detail=str(error)))
             return f"not reloaded: {error}"
         running = self._config
         configure_logs(new.log.format, new.log.level)
         self._config = running.model_copy(update={"log": new.log})
         waiting = changed_keys(running.model_dump(exclude={"log"}), new.model_dump(exclude={"log"}))
-        said = f"reloaded; for a restart: {', '.join(waiting)}" if waiting else "reloaded"
-        _log.warning(said)
-        return said
+        said = {}
+        if waiting:
+            said["needs_restart"] = ", ".join(waiting)
+        _log.warning("reloaded", extra=fields(**said))
+        return f"reloaded; for a restart: {', '.join(waiting)}" if waiting else "reloaded"
 
 
 def changed_keys(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import IO
 
 from edge_agent.pulse import Pulse
+from splitslam.logs import fields
 from splitslam.notify import Notifier
 
 _log = logging.getLogger(__name__)
@@ -68,7 +69,7 @@ class Watchdog(threading.Thread):
             self._say_stuck(stuck)
             return
         if self._stuck is not None:
-            _log.warning("the %s goes on", self._stuck.name)
+            _log.warning("thread goes on", extra=fields(thread=self._stuck.name))
             self._stuck = None
         self._notifier.status(f"{self._flow()}; {self._status()}")
         self._notifier.alive()
@@ -76,7 +77,8 @@ class Watchdog(threading.Thread):
     def _say_stuck(self, pulse: Pulse) -> None:
         self._notifier.status(f"the {pulse.name} is stuck since {pulse.busy_s:.0f} s")
         if self._stuck is None:
-            _log.critical("the %s is stuck since %.1f s: no more signs of life", pulse.name, pulse.busy_s)
+            said = fields(thread=pulse.name, busy_s=round(pulse.busy_s, 1))
+            _log.critical("thread stuck: no more signs of life", extra=said)
             faulthandler.dump_traceback(self._stacks or sys.stderr, all_threads=True)
         self._stuck = pulse
 
@@ -86,10 +88,10 @@ class Watchdog(threading.Thread):
         new, span_s = scans - self._seen, now_s - self._seen_s
         if new:
             if self._silent:
-                _log.warning("scans come again, after %.0f s", span_s)
+                _log.warning("scans come again", extra=fields(after_s=round(span_s)))
             self._seen, self._seen_s, self._silent = scans, now_s, False
             return f"{new / span_s:.0f} scans/s" if span_s > 0.5 * self._period_s else "scans come"
         if span_s >= _SILENT_S and not self._silent:
             self._silent = True
-            _log.warning("no scan for %.0f s", span_s)
+            _log.warning("no scans", extra=fields(silent_s=round(span_s)))
         return f"no scan for {span_s:.0f} s" if self._silent else "waiting for a scan"

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from edge_agent.types import EncodedFrame, OdometryReply
 from splitslam import se3
 from splitslam.scan import GnssFix
-from splitslam.trace import trace_id
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 
@@ -55,8 +54,8 @@ def matrix(message: types.Transform) -> NDArray[np.float64]:
     return se3.from_quat(t, q)
 
 
-def frame_message(frame: EncodedFrame, codec_version: int, run_id: str | None = None) -> pb.Frame:
-    """An encoded scan as it goes on the wire. run_id: only for one that is not the session's, in the trace id."""
+def frame_message(frame: EncodedFrame, codec_version: int) -> pb.Frame:
+    """An encoded scan as it goes on the wire. Its trace id is left out: both sides make it from run and seq."""
     return pb.Frame(
         seq=frame.seq,
         stamp_ns=frame.stamp_ns,
@@ -64,7 +63,6 @@ def frame_message(frame: EncodedFrame, codec_version: int, run_id: str | None = 
         codec_version=codec_version,
         payload=frame.payload,
         fixes=[_fix_message(fix) for fix in frame.fixes],
-        trace_id=trace_id(run_id, frame.seq) if run_id else "",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +88,7 @@ class Catalog:
                         raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
                     yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
-    def keyframes(self, key: int) -> Iterator[StoredKeyframe]:
+    def keyframes(self, key: int) -> Generator[StoredKeyframe]:
         """Every keyframe with its cloud, one at a time."""
         k, c = schema.keyframes, schema.clouds
         with self._store.reading() as connection:

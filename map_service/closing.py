@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from map_service.clouds import CloudsAwayError
 from map_service.keyframes import Keyframes
 from map_service.loop_gate import Admitted, Chain, LoopGate
 from map_service.loops import LoopJob, LoopResult, LoopVerifier, near_candidate
@@ -57,11 +59,11 @@ class LoopCloser:
         """Candidates that became no factor, by reason."""
         return self.gate.refused
 
-    def look(self, seq: int, keyframes: Keyframes, poses: list[Array], loops: list[tuple[int, int]]) -> None:
+    def look(self, seq: int, keyframes: Keyframes, poses: Sequence[Array], loops: list[tuple[int, int]]) -> None:
         """Submits the newest keyframe's candidates, if it has any; `seq` is its frame, `loops` are in the graph."""
         s = self.settings
         newest = len(keyframes) - 1
-        positions = np.array([T[:3, 3] for T in poses])
+        positions = np.asarray(poses)[:, :3, 3]
         older = near_candidate(positions, keyframes.stamps_ns(), newest, self.last_used, s)
         if older is not None:
             self.last_used = newest
@@ -69,15 +71,15 @@ class LoopCloser:
             self._submit(_Request(seq + s.apply_after_frames, older, newest, False, guess), keyframes, poses)
         place = self._describe(keyframes, poses)
         if place is not None:
-            self._look_alike(seq, place, keyframes, Chain(poses, keyframes.way_m(), loops))
+            self._look_alike(seq, place, keyframes, Chain(poses, keyframes.way_m(), loops, keyframes.branches))
 
-    def _describe(self, keyframes: Keyframes, poses: list[Array]) -> int | None:
+    def _describe(self, keyframes: Keyframes, poses: Sequence[Array]) -> int | None:
         """Describes the newest keyframe that has enough others on either side; None: there is no new one."""
         s = self.settings.places
         place = len(self.places)
         if place + s.keyframes >= len(keyframes):
             return None
-        points = keyframes.submap(place, place - s.keyframes, place + s.keyframes, poses, s.points)
+        points = keyframes.submap(place, s.keyframes, s.keyframes, poses, s.points)
         self._surroundings = (points @ se3.level_rotation(_up(poses[place])).T).astype(np.float32)
         self.places.add(self._surroundings)
         return place
@@ -98,14 +100,20 @@ class LoopCloser:
         guess = se3.inv(older) @ match.T_older_newer @ newer
         self._submit(_Request(seq + s.apply_after_frames, match.older, place, True, guess), keyframes, chain.poses)
 
-    def _submit(self, request: _Request, keyframes: Keyframes, poses: list[Array]) -> None:
+    def _submit(self, request: _Request, keyframes: Keyframes, poses: Sequence[Array]) -> None:
         s, r = self.settings, request
         self.tried[LOOKS if r.by_looks else NEAR] += 1
+        try:
+            target = keyframes.submap(r.older, s.target_keyframes, s.target_keyframes, poses)
+            source = keyframes.submap(r.newer, s.source_keyframes, s.source_keyframes, poses)
+        except CloudsAwayError:  # the robot goes on without the store, and so without this loop
+            self.gate.refuse("store_away")
+            return
         job = LoopJob(
             r.older,
             r.newer,
-            keyframes.submap(r.older, r.older - s.target_keyframes, r.older + s.target_keyframes, poses),
-            keyframes.submap(r.newer, r.newer - s.source_keyframes, r.newer + s.source_keyframes, poses),
+            target,
+            source,
             r.T_older_newer,
             _up(poses[r.older]),
             _up(poses[r.newer]),
@@ -155,7 +163,7 @@ class LoopCloser:
         self._stored_places = len(self.places)
         return [(place, self.places.packed(place)) for place in new]
 
-    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: list[Array]) -> None:
+    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: Sequence[Array]) -> None:
         """The reverse of dump, once keyframes and poses are there; a state of the first release has fewer keys.
 
         places: descriptors from the store; those that it lacks are made again, for which every cloud is needed.

@@ -47,11 +47,7 @@ class Door:
         """Returns the port. Raises RuntimeError when it cannot be bound."""
         if self._files is None:
             if not is_loopback(listen):
-                _log.warning(
-                    "INSECURE: robots and operators are believed whatever they say, and everybody on the way can read"
-                    " it (tls.insecure)",
-                    extra=fields(listen=listen),
-                )
+                _log.warning("INSECURE: everybody is believed, and can be read on the way", extra=fields(listen=listen))
             return server.add_insecure_port(listen)
         self._given = self._files.current()
         credentials = grpc.dynamic_ssl_server_credentials(

@@ -1,10 +1,11 @@
-"""Every metric of the map service. Nothing a robot says is a label, but in gauges by robot, which are switched on."""
+"""Every metric of the map service. What robots say is a label in the gauges by robot alone, a list of their own."""
 
 from __future__ import annotations
 
 from typing import get_args
 
 from map_service.callers import Reason
+from map_service.robot_metric_list import ROBOT_METRICS
 from map_service.types import Cause, State
 from splitslam.metrics.definition import Label, Metric, counter, gauge, histogram
 
@@ -21,14 +22,13 @@ REJECTIONS = ("corrupt", "codec_version", "time", "failed")
 CAUSES = tuple(cause.name.lower() for cause in Cause)
 LOOP_RESULTS = (
     *("accepted", "no_match", "not_converged", "few_inliers", "one_sided", "tipped", "ambiguous", "implausible"),
-    *("unsupported", "failed", "verifier_died"),
+    *("unsupported", "failed", "verifier_died", "store_away"),
 )
 GNSS_RESULTS = (
     *("accepted", "gated", "spacing", "covariance", "no_fix", "duplicate", "out_of_order", "late", "early", "lost"),
     "unusable",
 )
 _WORKER = Label("worker", bound="`workers`: 0, 1, ...")
-_ROBOT = Label("robot", bound="robots with a session here, at most `metrics.robots`")
 
 # --- robots and streams -----------------------------------------------------------------------------------------------
 
@@ -185,7 +185,8 @@ LOOP_CANDIDATES = counter(
 LOOPS = counter(
     "splitslam_map_loops",
     "Loop closures that are durable: accepted into the graph, or why not",
-    "ambiguous, implausible: places that are alike. few_inliers, one_sided: a changed site. verifier_died: memory.",
+    "ambiguous, implausible: places that are alike. few_inliers, one_sided: a changed site. verifier_died: memory. "
+    "store_away: it had the older clouds.",
     Label("result", LOOP_RESULTS, open=True),
 )
 GNSS = counter(
@@ -279,58 +280,5 @@ WORKER_RESTARTS = counter(
     "Memory of the machine; the service's log.",
 )
 
-# --- by robot, with `metrics.per_robot: true` -------------------------------------------------------------------------
-
-ROBOT_STATE = gauge(
-    "splitslam_map_robot_state",
-    "Tracking state of a robot's session, the numbers of TrackingState; 0: it has no stream",
-    "5, 6: the robot cannot use its pose.",
-    _ROBOT,
-)
-ROBOT_ANSWER_AGE = gauge(
-    "splitslam_map_robot_answer_age_seconds",
-    "Since its last frame was answered",
-    "The robot stands still without scans, or its link is gone.",
-    _ROBOT,
-)
-ROBOT_QUEUE = gauge(
-    "splitslam_map_robot_queue_frames",
-    "Its frames that wait here for an answer",
-    "At the window: the worker is behind.",
-    _ROBOT,
-)
-ROBOT_BACKLOG = gauge(
-    "splitslam_map_robot_backlog_frames",
-    "Frames that wait on the robot, as it says itself",
-    "It catches up after an outage, or its uplink's budget is too small.",
-    _ROBOT,
-)
-ROBOT_SCANS = gauge(
-    "splitslam_map_robot_scans", "Scans mapped in its session", "Stands: see `robot_answer_age_seconds`.", _ROBOT
-)
-ROBOT_SESSION_AGE = gauge(
-    "splitslam_map_robot_session_age_seconds",
-    "Since its session came into memory here",
-    "Small again and again: it moves.",
-    _ROBOT,
-)
-ROBOT_UNDURABLE = gauge(
-    "splitslam_map_robot_undurable_frames", "Its frames that are applied and not durable yet", "The store.", _ROBOT
-)
-ROBOT_POSITION_SIGMA = gauge(
-    "splitslam_map_robot_position_sigma_metres",
-    "Standard deviation of T_map_lidar's position along its worst axis",
-    "Grows with new ground; falls at a loop or a fix.",
-    _ROBOT,
-)
-ROBOT_ROTATION_SIGMA = gauge(
-    "splitslam_map_robot_rotation_sigma_radians", "The same of its rotation", "As above.", _ROBOT
-)
-ROBOTS_NOT_SHOWN = gauge(
-    "splitslam_map_robots_not_shown",
-    "Robots beyond `metrics.robots`, which have no series",
-    "Above 0: raise the limit, if Prometheus can bear it.",
-)
-
-MAP_METRICS = tuple(value for value in tuple(globals().values()) if isinstance(value, Metric))
-ROBOT_METRICS = tuple(metric for metric in MAP_METRICS if metric.name.startswith("splitslam_map_robot"))
+SERVICE_METRICS = tuple(value for value in tuple(globals().values()) if isinstance(value, Metric))
+MAP_METRICS = (*SERVICE_METRICS, *ROBOT_METRICS)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from splitslam.config import read_text
 from splitslam.errors import InputError
+from splitslam.logs import fields
+from splitslam.watched_files import WatchedFiles
 
 _HEX_64 = re.compile(r"[0-9a-f]{64}")
 _log = logging.getLogger(__name__)
@@ -19,26 +21,18 @@ class RevokedList:
     def __init__(self, path: Path) -> None:
         """Raises InputError when it cannot be read, or has a line that is none."""
         self._path = path
-        self._seen = self._signature()
-        self._prints = _read(path)
+        self._prints = WatchedFiles((path,), lambda: _read(path), self._read_anew)
 
     def holds(self, fingerprint: str) -> bool:
-        """A file that can no longer be read changes nothing: nobody who was revoked comes back by that."""
-        signature = self._signature()
-        if signature != self._seen:
-            self._seen = signature
-            try:
-                self._prints = _read(self._path)
-            except InputError as error:
-                _log.error("revoked: %s; what it said before holds", error)
-        return fingerprint in self._prints
+        return fingerprint in self._prints.current()
 
-    def _signature(self) -> tuple[int, int] | None:
+    def _read_anew(self, before: frozenset[str]) -> frozenset[str]:
+        """A file that can no longer be read changes nothing: nobody who was revoked comes back by that."""
         try:
-            status = self._path.stat()
-        except OSError:
-            return None
-        return status.st_ino, status.st_mtime_ns
+            return _read(self._path)
+        except InputError as error:
+            _log.error("revoked certificates not read: those of before count", extra=fields(detail=str(error)))
+            return before
 
 
 def _read(path: Path) -> frozenset[str]:

@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.metrics_core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 
-from map_service import metric_list as m
+from map_service import robot_metric_list as m
 from map_service.channel import RobotStanding
 from splitslam.metrics import Metric
 
@@ -26,15 +26,15 @@ class RobotSeen:
 
 
 _GAUGES: tuple[tuple[Metric, Callable[[RobotSeen, float], float]], ...] = (
-    (m.ROBOT_STATE, lambda robot, _: 0 if robot.standing.stream is None else robot.standing.state),
-    (m.ROBOT_ANSWER_AGE, lambda robot, now_s: now_s - robot.answered_s),
-    (m.ROBOT_QUEUE, lambda robot, _: robot.waiting_frames),
-    (m.ROBOT_BACKLOG, lambda robot, _: robot.standing.backlog_frames),
-    (m.ROBOT_SCANS, lambda robot, _: robot.standing.scans),
-    (m.ROBOT_SESSION_AGE, lambda robot, now_s: now_s - robot.standing.opened_s),
-    (m.ROBOT_UNDURABLE, lambda robot, _: robot.standing.undurable_frames),
-    (m.ROBOT_POSITION_SIGMA, lambda robot, _: robot.standing.position_sigma_m),
-    (m.ROBOT_ROTATION_SIGMA, lambda robot, _: robot.standing.rotation_sigma_rad),
+    (m.STATE, lambda robot, _: 0 if robot.standing.stream is None else robot.standing.state),
+    (m.ANSWER_AGE, lambda robot, now_s: now_s - robot.answered_s),
+    (m.QUEUE, lambda robot, _: robot.waiting_frames),
+    (m.BACKLOG, lambda robot, _: robot.standing.backlog_frames),
+    (m.SCANS, lambda robot, _: robot.standing.scans),
+    (m.SESSION_AGE, lambda robot, now_s: now_s - robot.standing.opened_s),
+    (m.UNDURABLE, lambda robot, _: robot.standing.undurable_frames),
+    (m.POSITION_SIGMA, lambda robot, _: robot.standing.position_sigma_m),
+    (m.ROTATION_SIGMA, lambda robot, _: robot.standing.rotation_sigma_rad),
 )
 
 
@@ -66,7 +66,7 @@ class RobotGauges(Collector):
             for robot_id, robot in shown.items():
                 family.add_metric([robot_id], value(robot, now_s))
             yield family
-        more = _family(m.ROBOTS_NOT_SHOWN)
+        more = _family(m.NOT_SHOWN)
         more.add_metric([], self._more)
         yield more
 

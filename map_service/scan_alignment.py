@@ -105,8 +105,7 @@ def deskewed_again(features: FeatureSet, delta_twist: Array) -> NDArray[np.float
     """The points (N, 3), deskewed again for another twist."""
     if not delta_twist.any():
         return features.points_lidar
-    points = features.points_lidar.astype(np.float64)
-    return deskew_again(points, _seconds(features), delta_twist).astype(np.float32)
+    return deskew_again(features.points_lidar, _seconds(features), delta_twist)
 
 
 def _seconds(features: FeatureSet) -> Array:

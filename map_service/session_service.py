@@ -14,7 +14,7 @@ from sqlalchemy import Row
 from map_service.access import NO_SITE, check_operator, check_reader
 from map_service.callers import Caller, Callers, DeniedError
 from map_service.catalog import Catalog
-from map_service.export import map_pieces
+from map_service.export import map_pieces, voxel_problem
 from map_service.messages import stamped_pose, transform_to_wire
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store, StoreError
@@ -26,8 +26,6 @@ from splitslam.wire import session_pb2_grpc as rpc
 
 A = TypeVar("A")
 T = TypeVar("T")
-MIN_VOXEL_M = 0.01
-MAX_VOXEL_M = 100.0
 _log = logging.getLogger(__name__)
 
 
@@ -72,9 +70,8 @@ class SessionFront(rpc.SessionServiceServicer):
         self, request: pb.StreamMapRequest, context: grpc.aio.ServicerContext
     ) -> AsyncIterator[pb.StreamMapResponse]:
         voxel_m = request.voxel_m
-        if voxel_m != 0 and not MIN_VOXEL_M <= voxel_m <= MAX_VOXEL_M:  # also true for NaN
-            detail = f"voxel_m {voxel_m:g}: expected 0 or {MIN_VOXEL_M:g} to {MAX_VOXEL_M:g}"
-            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, detail)
+        if problem := voxel_problem(voxel_m):
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"voxel_m {problem}")
         row = await self._readable(request.session_id, context)
         pieces = map_pieces(self._catalog.keyframes(row.id), voxel_m)
         while (piece := await self._query(context, _next, pieces)) is not None:

@@ -19,7 +19,7 @@ ConfigFile = Annotated[Path | None, typer.Option(metavar="FILE", help="The servi
 StoreUrl = Annotated[str | None, typer.Option("--store", metavar="URL", help="sqlite:///FILE or postgresql://...")]
 
 store_app = typer.Typer(help="The store: migrate, backup, restore, check, compact.", no_args_is_help=True)
-sessions_app = typer.Typer(help="The sessions in a store: list, show, delete.", no_args_is_help=True)
+sessions_app = typer.Typer(help="The sessions in a store: list, show, export, delete.", no_args_is_help=True)
 
 
 # -- store --------------------------------------------------------------------------------------------------------
@@ -124,6 +124,34 @@ def show(session_id: str, config: ConfigFile = None, store: StoreUrl = None) -> 
     values = {key: value for key, value in row._asdict().items() if key not in ("id", "tracker", "robot_file")}
     values["statistics"] = json.loads(row.statistics or "{}")
     print(json.dumps(values, indent=2))
+
+
+@sessions_app.command()
+def export(
+    session_id: str,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where map.ply and trajectory.tum go.")],
+    voxel_m: Annotated[float, typer.Option(min=0.0, help="One point a voxel of this size; 0: every point.")] = 0.0,
+    config: ConfigFile = None,
+    store: StoreUrl = None,
+) -> None:
+    """Write a session's map and trajectory, as they are now, to files; its robot may be driving."""
+    from map_service.catalog import Catalog
+    from map_service.export import voxel_problem, write_session
+    from splitslam.errors import DataError
+    from splitslam.run.staging import staging
+
+    if problem := voxel_problem(voxel_m):
+        raise InputError(f"--voxel-m: {problem}")
+    with _opened(config, store) as opened, staging(out) as stage:
+        catalog = Catalog(opened)
+        if (row := catalog.session(session_id)) is None:
+            raise InputError(f"no session {session_id!r}")
+        try:
+            done = write_session(catalog, row.id, stage.results, voxel_m)
+        except DataError as error:
+            raise InputError(f"session {session_id!r}: {error} (see `map-service store check`)") from None
+        stage.publish()
+    print(f"{out / 'map.ply'}: {done.points} points\n{out / 'trajectory.tum'}: {done.poses} poses")
 
 
 @sessions_app.command()

@@ -22,6 +22,7 @@ from google.protobuf.message import DecodeError
 
 from edge_agent.spool.spool import Spool, kind_of
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _REFUSED = "refused"
@@ -57,7 +58,7 @@ class RunFolder:
             (self.path / "hello").write_bytes(self._hello)
             self._hello = b""
         except OSError as error:
-            _log.info("spool: hello not written: %s", error)
+            _log.info("spool file not written", extra=fields(file="hello", detail=str(error)))
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -90,7 +91,7 @@ class RunFolder:
         try:
             (self.path / name).write_text(text)
         except OSError as error:  # the frames matter more; spool.py tells of a disk that fails
-            _log.info("spool: %s not written: %s", name, error)
+            _log.info("spool file not written", extra=fields(file=name, detail=str(error)))
 
     @property
     def bytes(self) -> int:
@@ -108,7 +109,7 @@ class RunFolder:
             target.parent.mkdir(exist_ok=True)
             os.replace(self.path, target)
         except OSError as error:
-            _log.error("spool: %s cannot be set aside: %s", self.path, error)
+            _log.error("refused frames not set aside", extra=fields(run_id=self.run_id, detail=str(error)))
             return self.path
         self.path = target
         return target
@@ -131,7 +132,8 @@ class SpoolFolder:
             if kind_of(error) not in ("full", "read_only"):
                 expected = "expected a directory that can be written"
                 raise InputError(f"spool {path}: {error.strerror or error}; {expected}") from None
-            _log.error("spool %s: %s; frames stay in memory", path, error.strerror)
+            said = fields(folder=str(path), detail=error.strerror, consequence="frames stay in memory")
+            _log.error("spool disk fails", extra=said)
             return
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -177,7 +179,7 @@ class SpoolFolder:
         while set_aside and taken > self.max_bytes // 2:
             oldest = set_aside.pop(0)
             taken -= oldest.bytes
-            _log.error("spool: refused run %s deleted for want of room", oldest.run_id)
+            _log.error("refused run deleted for want of room", extra=fields(run_id=oldest.run_id))
             oldest.delete()
         return Spool(run.path, max(self.max_bytes - taken, min(_SMALLEST_BYTES, self.max_bytes)))
 

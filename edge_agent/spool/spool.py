@@ -18,6 +18,7 @@ from google.protobuf.message import DecodeError
 
 from edge_agent.spool.record import Head
 from edge_agent.spool.segment_log import DamagedError, Recovery, SegmentLog, Write
+from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
 _SEGMENT_BYTES = 512 * 1024  # 20 s of frames: a file is gone before the kernel would write it out by itself (30 s)
@@ -62,7 +63,7 @@ class Spool:
         self._written_s.update((head.seq, time.monotonic()) for head in self.recovered.heads)
         self._note_oldest()
         if self.recovered.damaged:
-            _log.error("spool %s: %d frames are damaged and skipped", folder, self.recovered.damaged)
+            _log.error("spooled frames damaged", extra=fields(folder=str(folder), frames=self.recovered.damaged))
         self._syncer = threading.Thread(target=self._keep_synced, name="spool-sync", daemon=True)
         self._syncer.start()
 
@@ -95,7 +96,7 @@ class Spool:
         self._note_oldest()
         if self._failing:
             self._failing = False
-            _log.warning("spool %s: takes frames again", self.folder)
+            _log.warning("spool takes frames again", extra=fields(folder=str(self.folder)))
         self._shrink()
         return True
 
@@ -113,7 +114,7 @@ class Spool:
             return pb.Frame.FromString(self._log.read(seq))
         except (DamagedError, DecodeError) as error:
             self.errors["damaged"] += 1
-            _log.error("spool: damaged and skipped: %s", error)
+            _log.error("spooled frame damaged", extra=fields(folder=str(self.folder), seq=seq, detail=str(error)))
         except OSError as error:
             self._failed(error, f"frame {seq} cannot be read")
         return None
@@ -144,7 +145,8 @@ class Spool:
     def _failed(self, error: OSError, consequence: str) -> None:
         self.errors[kind_of(error)] += 1
         if not self._failing:
-            _log.error("spool %s: %s; %s", self.folder, error.strerror or error, consequence)
+            said = fields(folder=str(self.folder), detail=error.strerror or str(error), consequence=consequence)
+            _log.error("spool disk fails", extra=said)
         self._failing = True
 
     # --- power cuts -------------------------------------------------------------------------------------------

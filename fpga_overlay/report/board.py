@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 from fpga_overlay.golden.packet import Beats
+from splitslam.bench.paper import A53_FACTOR
 
 MS_PER_NS = 1e-6
 
@@ -20,8 +21,7 @@ class Zcu104:
     DMA's engine sustains 97.75 % both ways at once over 1 MB. A port asks for 1.6 GB/s each way of a memory of 17 GB/s.
     (PG021 7.1 has 74.64 % for receiving 10,000 bytes, where the start counts; that is in start_clocks here.)
     start_clocks: of both channels (PG021 7.1, table 1), and 100 for the first read of the memory (assumed).
-    cpu_factor: an A53 core of the board against a core of the machine that the report runs on. The paper's Table VI has
-    54.72 ms for the Image and Feature node in software on the board; LIO-SAM's same two nodes took 6.7 ms here.
+    cpu_factor: an A53 core of the board against a core of the machine that the report runs on (splitslam.bench.paper).
     line_bytes: of the A53's caches (ARM DDI 0500). line_ns: to write a line back, or to drop it and fetch it again: 1.6
     GB/s, assumed from the 800 MB/s that users report for a copy between cached buffers (ikwzm/udmabuf, issue 16).
     register_ns: one access to a register of the DMA (assumed: some 20 clocks of the logic). wake_us: from the interrupt
@@ -31,7 +31,7 @@ class Zcu104:
     clock_mhz: float = 100.0
     stream_share: float = 0.9775
     start_clocks: int = 6 + 39 + 100
-    cpu_factor: float = 8.0
+    cpu_factor: float = A53_FACTOR
     line_bytes: int = 64
     line_ns: float = 40.0
     register_ns: float = 200.0

@@ -71,7 +71,7 @@ def host_cost(scan: Scan, knots: Knots, answer: Beats, rings: int, columns: int,
         total=best_ms(lambda: accelerator.run(scan, knots)),
         registers=registers,
         sent=link.request,
-        received=link._answer,
+        received=link.answer,
     )
     accelerator.close()
     return cost
@@ -96,10 +96,10 @@ def best_ms(work: Callable[[], Any], repeats: int = 200) -> float:
     return best
 
 
-class RecordedLink(DmaLink):
-    """The driver's link over PYNQ's channels, with an answer that is always there."""
+class IdleLink(DmaLink):
+    """The driver's link over PYNQ's channels, with a DMA that is always done."""
 
-    def __init__(self, answer: Beats) -> None:
+    def __init__(self, longest_beats: int) -> None:
         import_pynq()
         from pynq.lib.dma import DMA_TYPE_RX, DMA_TYPE_TX, _SDMAChannel
 
@@ -108,7 +108,19 @@ class RecordedLink(DmaLink):
         receive = _SDMAChannel(self.mmio, most, 16, DMA_TYPE_RX, False)
         send = _SDMAChannel(self.mmio, most, 16, DMA_TYPE_TX, False)
         dma = SimpleNamespace(recvchannel=receive, sendchannel=send, buffer_max_size=most, mmio=self.mmio)
-        super().__init__(SimpleNamespace(device=Memory(), axi_dma_0=dma), len(answer))
+        super().__init__(SimpleNamespace(device=Memory(), axi_dma_0=dma), longest_beats)
+
+    @property
+    def answer(self) -> Beats:
+        """All of the receive buffer."""
+        return self._answer
+
+
+class RecordedLink(IdleLink):
+    """With an answer that is always there."""
+
+    def __init__(self, answer: Beats) -> None:
+        super().__init__(len(answer))
         self._recorded = answer
         self._filled = False
 

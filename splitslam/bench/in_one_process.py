@@ -85,6 +85,7 @@ class Seen:
         return codec.decode(frame.payload, frame.seq, frame.stamp_ns, frame.dense, self.beam_elevations_rad)
 
 
+MakeImageNode = Callable[[int, int], ImageNode]  # for rings and columns
 Wire = Callable[[Seen], FeatureFrame]  # what arrives at the map service for what the edge has seen
 
 
@@ -180,10 +181,16 @@ class _SeeingPipeline(EdgePipeline):
     """The edge's pipeline, which remembers the scan that went through it last."""
 
     def __init__(
-        self, robot: Robot, settings: EdgeSettings, beam_elevations_rad: NDArray[np.float32], imu: MotionSource
+        self,
+        robot: Robot,
+        settings: EdgeSettings,
+        beam_elevations_rad: NDArray[np.float32],
+        imu: MotionSource,
+        image_node: MakeImageNode | None,
     ) -> None:
         super().__init__(robot, settings, beam_elevations_rad, imu)
-        self.image_node = self._node = _SeeingNode(self.image_node)
+        made = self.image_node if image_node is None else image_node(len(beam_elevations_rad), self.columns)
+        self.image_node = self._node = _SeeingNode(made)
         self.last: Seen | None = None
 
     def process(self, packet: ScanPacket) -> EncodedFrame:
@@ -269,7 +276,7 @@ class _Sink:
     def on_frame(self, frame: EncodedFrame, T_odom_lidar: Array) -> pb.Frame:
         self._out.scans_odom.add(frame.stamp_ns, T_odom_lidar)
         self._out.scans_map.add(frame.stamp_ns, self._out.node.T_map_odom @ T_odom_lidar)
-        return frame_message(frame, codec.CODEC_VERSION, "run")
+        return frame_message(frame, codec.CODEC_VERSION)
 
     def on_answer(self, answer: Answer) -> None: ...
 
@@ -302,12 +309,14 @@ def run_both(
     odometry: OdometrySettings | None = None,
     max_kbps: float | None = None,
     deskew_again: bool = True,
+    image_node: MakeImageNode | None = None,
 ) -> Outcome:
     """Odometry and GNSS of a recording; loops are off. network: None for lockstep.
 
     wire: between edge and map. harm: between the recording and the edge. arrives: which answers (by seq) reach the
     robot at all. disable: of gnss, imu, wheels. odometry: the edge's own. max_kbps: the uplink's budget. deskew_again:
-    False when the wire carries no times of points. Raises InputError for a recording or robot file that cannot be used.
+    False when the wire carries no times of points. image_node: in place of the settings' own.
+    Raises InputError for a recording or robot file that cannot be used.
     """
     robot = load_robot(robot) if isinstance(robot, Path) else robot
     robot = robot.model_copy(update={part: None for part in ("imu", "gnss", "wheels") if part in disable})
@@ -317,7 +326,7 @@ def run_both(
         beams = read.beam_elevations_rad
         warm_up(read.robot, settings, ImuSettings(), beams, odometry)
         node, sequencer = make_imu_node(read.robot, ImuSettings()), Sequencer(read.robot)
-        edge = _SeeingPipeline(read.robot, settings, beams, node)
+        edge = _SeeingPipeline(read.robot, settings, beams, node, image_node)
         deskew = edge.image_node.name if deskew_again else "off"
         service = MapPipeline(read.robot, MapSettings(), _NoLoops(), frozenset({*disable, "loops"}), deskew)
         clock_ns = None if network is None else lambda: clock.now_ns

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from splitslam.bench.edge_made import GRIDS, MAX_S
 from splitslam.errors import InputError
 from splitslam.robot import load_robot
 from splitslam.run.options import RunOptions
+from splitslam.sim.grid_lidar import Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,38 @@ def _beside(recording: Path) -> Path:
     if recording.exists() and not robot.is_file():
         raise InputError(f"{robot}: expected a robot file beside the recording (or --robot)")
     return robot
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeOptions:
+    """recordings: none for made drives of `seconds` with LiDARs of `grids`. robot: as of PartitionOptions.
+
+    fpga: with the overlay's cores as well, where their environment is.
+    """
+
+    recordings: tuple[Path, ...]
+    out: Path
+    robot: Path | None = None
+    grids: tuple[Grid, ...] = GRIDS
+    seconds: float = 8.0
+    max_scans: int | None = None
+    fpga: bool = True
+
+    def __post_init__(self) -> None:
+        """Raises InputError: one line that names the option and what was expected."""
+        if self.robot is not None and len(self.recordings) != 1:
+            raise InputError(f"--robot: expected one recording with it, found {len(self.recordings)}")
+        if not 1.0 <= self.seconds <= MAX_S:
+            raise InputError(f"--seconds: expected 1 to {MAX_S:g}, found {self.seconds:g}")
+        if not self.recordings and not self.grids:
+            raise InputError("--grids: expected RINGSxCOLUMNS, separated by commas, found none")
+        for recording, robot in self.drives():
+            RunOptions(recording=recording, robot=robot, out=self.out, max_scans=self.max_scans)
+            load_robot(robot)
+
+    def drives(self) -> list[tuple[Path, Path]]:
+        """(recording, robot file) each."""
+        return [(recording, self.robot or _beside(recording)) for recording in self.recordings]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from splitslam.bench import paper
 from splitslam.bench.break_even import total_ms
-from splitslam.bench.partition_result import A53_FACTOR, BANDWIDTHS_MBPS, CASES, Partition
+from splitslam.bench.paper import A53_FACTOR
+from splitslam.bench.partition_result import BANDWIDTHS_MBPS, CASES, Partition
 from splitslam.report.style import BLUE, GREEN, INK, MUTED, ORANGE, TRUTH, png, styled
 
 _COLOURS = {"case1": MUTED, "case2": GREEN, "case3": ORANGE, "ours": BLUE}

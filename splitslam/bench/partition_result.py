@@ -9,10 +9,9 @@ import numpy as np
 
 from splitslam.bench import paper
 from splitslam.bench.break_even import Cut, break_even_mbps, in_words, total_ms
+from splitslam.bench.paper import A53_FACTOR
 
 CASES = ("case1", "case2", "case3", "ours")
-# How much longer a Cortex-A53 of the paper's board takes than this processor: an assumption, printed as one.
-A53_FACTOR = 8.0
 BANDWIDTHS_MBPS = np.geomspace(1.0, 200.0, 93)
 
 

@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.table import Table
 
 from splitslam.bench import laz, paper
-from splitslam.bench.partition_result import A53_FACTOR, CASES, Partition
+from splitslam.bench.paper import A53_FACTOR
+from splitslam.bench.partition_result import CASES, Partition
 
 TITLES = {
     "case1": "Case 1, raw points and IMU",

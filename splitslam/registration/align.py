@@ -7,18 +7,22 @@ its covariance it fills the directions that the features do not observe.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
-from splitslam.registration import _kernels as kernels
-from splitslam.registration.local_map import LocalMap
+from splitslam.registration import _equation_kernels as kernels
+from splitslam.registration._kernels import GEOMETRY, KEYFRAME, KIND
+from splitslam.registration.local_map import LocalMap, VoxelMap
 from splitslam.registration.settings import RegistrationSettings
 
 Array = NDArray[np.float64]
-_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+Real = TypeVar("Real", np.float32, np.float64)
+_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +75,9 @@ class Registration:
 
     def __init__(self, settings: RegistrationSettings) -> None:
         self.settings = settings
+        self._scale = settings.scale
+        self._in_metres = np.diag(self._scale**2)
+        self._scratch = _Scratch(), _Scratch()
 
     def align(
         self,
@@ -84,46 +91,58 @@ class Registration:
         """Aligns the features (N, 3), frame `lidar`, to the map, from the prediction.
 
         offsets_s: per class (N,), time of each point after the scan's reference time. With `deskew_again` the
-        points follow the twist that the found motion implies: p' = p + (dv + dw x p) t.
+        points follow the twist that the found motion implies: p' = p + (dv + dw x p) t. A point is matched again when
+        the pose has moved by `rematch_m` since.
         """
         s = self.settings
-        classes = (
-            _Class(local_map.corners, corners_lidar, offsets_s[0]),
-            _Class(local_map.surfs, surfs_lidar, offsets_s[1]),
-        )
-        T = prediction.T_local_lidar.copy()
-        delta = np.zeros(6)
-        dt = prediction.interval_s
-        known = np.concatenate([np.repeat(prediction.rate_sigma_radps**2, 3), prediction.velocity_sigmas_mps**2])
-        seen = np.repeat([(s.rotation_sigma_rad / dt) ** 2, (s.position_sigma_m / dt) ** 2], 3)
-        gain = known / (known + seen)
-        reach_m = float(prediction.velocity_sigmas_mps.max()) * dt + s.lever_m * prediction.rate_sigma_radps * dt
-        gate_m = min(s.gate_start_m + s.gate_sigmas * reach_m, s.gate_limit_m)
-        converged, iterations, damping = False, 0, s.damping
-        H, fit, axes = np.zeros((6, 6)), _Fit(0.0, 0, 0.0, 0), np.zeros((0, 6))
-        noise, spurious = np.array([s.point_sigma_m, s.robust_sigmas]), None
+        voxels, points = (local_map.corners, local_map.surfs), (corners_lidar, surfs_lidar)
+        classes = [_Class(*of) for of in zip(voxels, points, offsets_s, self._scratch, strict=True) if len(of[1])]
+        T, T_back = prediction.T_local_lidar.copy(), se3.inv(prediction.T_local_lidar)
+        xi, step, delta, dt = np.zeros(6), np.zeros(6), np.zeros(6), prediction.interval_s
+        gain, gate_m = self._gain(prediction), self._gate_m(prediction)
+        converged, iterations, unmatched_m = False, 0, np.inf
+        H, fit, axes = np.zeros((6, 6)), _Fit(0, 0, 0.0), np.zeros((0, 6))
+        spurious = None
         for iterations in range(1, s.max_iterations + 1):
-            H_all, b, fit = _normal_equations(classes, T, gate_m, noise)
+            if unmatched_m > s.rematch_m:
+                for features in classes:
+                    features.match(T, gate_m)
+                unmatched_m = 0.0
+            noise = np.array([s.point_sigma_m, s.robust_sigmas, gate_m])
+            H_all, b, fit = _normal_equations(classes, T, noise)
             if spurious is None:  # it hardly changes with the pose
                 spurious = _spurious_information(classes, T, noise)
             H, b, axes = self._observed(H_all, spurious, b, fit)
-            xi_prior = se3.log(se3.inv(prediction.T_local_lidar) @ T)
-            H_total = H + prediction.information
-            b_total = b - prediction.information @ xi_prior
-            step = np.asarray(np.linalg.solve(H_total + damping * np.diag(np.diag(H_total)), b_total), np.float64)
+            kernels.solve(H, prediction.information, b, xi, s.damping, step)
             T = T @ se3.exp(step)
-            moved_m, turned_rad = float(np.linalg.norm(step[3:])), float(np.linalg.norm(step[:3]))
+            xi = se3.log(T_back @ T)
+            turned_rad, moved_m = _lengths(step)
             if deskew_again:
-                previous = delta
-                delta = gain * se3.log(se3.inv(prediction.T_local_lidar) @ T) / dt
-                moved_m += 0.1 * float(np.linalg.norm((delta - previous) * s.scale))
+                previous, delta = delta, gain * xi / dt
+                moved_m += 0.1 * _length((delta - previous) * self._scale)
                 for features in classes:
                     features.shift(delta)
             if moved_m < s.converged_m and turned_rad < s.converged_rad:
                 converged = True
                 break
+            unmatched_m += moved_m + s.lever_m * turned_rad
             gate_m = max(s.gate_end_m, 0.6 * gate_m)
         return self._result(T, H, axes, prediction, converged, iterations, fit, classes, delta)
+
+    def _gain(self, prediction: Prediction) -> Array:
+        """(6,): how much of the twist that the found motion implies is believed, against the edge's own."""
+        s, dt = self.settings, prediction.interval_s
+        known = np.empty(6)
+        known[:3], known[3:] = prediction.rate_sigma_radps**2, prediction.velocity_sigmas_mps**2
+        seen = np.empty(6)
+        seen[:3], seen[3:] = (s.rotation_sigma_rad / dt) ** 2, (s.position_sigma_m / dt) ** 2
+        return known / (known + seen)
+
+    def _gate_m(self, prediction: Prediction) -> float:
+        """How far from the map a point may lie at first."""
+        s, dt = self.settings, prediction.interval_s
+        reach_m = float(prediction.velocity_sigmas_mps.max()) * dt + s.lever_m * prediction.rate_sigma_radps * dt
+        return min(s.gate_start_m + s.gate_sigmas * reach_m, s.gate_limit_m)
 
     def _trust(self, fit: _Fit) -> float:
         """Neighbouring residuals are correlated (same plane, same laser): features count for less than they are."""
@@ -136,16 +155,20 @@ class Registration:
         the eigenvalues as information in metres at a lever arm, so that the threshold is a position's sigma. A
         direction is also unobserved when its information is of the size that noisy normals make out of nothing.
         """
-        s = self.settings
-        scale = np.outer(s.scale, s.scale) / self._trust(fit)
+        s, trust = self.settings, self._trust(fit)
+        # no eigenvalue is below either threshold: two factorisations instead of a decomposition
+        enough = kernels.exceeds(H, self._in_metres, s.degenerate_information / trust, self._scale)
+        if enough and kernels.exceeds(H, spurious, s.degenerate_ratio, self._scale):
+            return H, b, np.zeros((0, 6))
+        scale = np.outer(self._scale, self._scale) / trust
         values, vectors = np.linalg.eigh(H / scale)
         by_chance = np.einsum("ij,ik,kj->j", vectors, spurious / scale, vectors)
         weak = (values < s.degenerate_information) | (values < s.degenerate_ratio * by_chance)
         if not weak.any():
             return H, b, np.zeros((0, 6))
         # xi * scale = metres: keep only its components along the strong eigenvectors
-        keep = np.diag(1 / s.scale) @ (np.eye(6) - vectors[:, weak] @ vectors[:, weak].T) @ np.diag(s.scale)
-        axes = (vectors[:, weak] / s.scale[:, None]).T
+        keep = np.diag(1 / self._scale) @ (np.eye(6) - vectors[:, weak] @ vectors[:, weak].T) @ np.diag(self._scale)
+        axes = (vectors[:, weak] / self._scale[:, None]).T
         return keep.T @ H @ keep, keep.T @ b, axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
     def _result(
@@ -157,11 +180,10 @@ class Registration:
         converged: bool,
         iterations: int,
         fit: _Fit,
-        classes: tuple[_Class, _Class],
+        classes: list[_Class],
         delta: Array,
     ) -> RegistrationResult:
         information = H * self._trust(fit)
-        features = sum(len(c.points_lidar) for c in classes)
         return RegistrationResult(
             T_local_lidar=se3.orthonormalised(T),
             information=information,
@@ -170,7 +192,7 @@ class Registration:
             iterations=iterations,
             matched=fit.matched,
             inliers=fit.inliers,
-            features=features,
+            features=sum(len(c.points_lidar) for c in classes),
             error=fit.error,
             degenerate_axes=axes,
             delta_twist=delta,
@@ -180,64 +202,94 @@ class Registration:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    cost: float
+    matched: int
     inliers: int
     squares: float
-    matched: int
 
     @property
     def error(self) -> float:
         """RMS of the inliers' residuals in sigmas."""
-        return float(np.sqrt(self.squares / max(self.inliers, 1)))
+        return math.sqrt(self.squares / max(self.inliers, 1))
+
+
+class _Scratch:
+    """Arrays for the points of one class; they grow with the largest scan."""
+
+    def __init__(self) -> None:
+        self._points = np.empty((2, 0, 3))
+        self._fits = np.empty((0, GEOMETRY))
+
+    def of(self, count: int) -> tuple[Array, Array, Array]:
+        """Points (N, 3) twice, and fits (N, 16)."""
+        if count > len(self._fits):
+            self._points, self._fits = np.empty((2, count, 3)), np.empty((count, GEOMETRY))
+        return self._points[0, :count], self._points[1, :count], self._fits[:count]
 
 
 class _Class:
-    """One feature class with its scratch arrays."""
+    """The points of one feature class, and what they are matched with."""
 
-    def __init__(self, voxels, points_lidar: NDArray[np.float32], offsets_s: Array) -> None:
-        self.voxels = voxels
-        self.original = np.ascontiguousarray(points_lidar, np.float64)
-        self.points_lidar = self.original
-        self.offsets_s = offsets_s
-        self.points_local = np.empty_like(self.original)
-        self.slots = np.empty(len(points_lidar), np.int64)
+    def __init__(
+        self, voxels: VoxelMap, points_lidar: NDArray[np.float32], offsets_s: Array, scratch: _Scratch
+    ) -> None:
+        self._voxels, self._offsets_s = voxels, offsets_s
+        self._original, self._shifted, self.fits = scratch.of(len(points_lidar))
+        self._original[:] = points_lidar
+        self.points_lidar = self._original
+
+    def match(self, T_local_lidar: Array, gate_m: float) -> None:
+        self._voxels.match(self.points_lidar, T_local_lidar, gate_m, self.fits)
 
     def shift(self, delta_twist: Array) -> None:
-        self.points_lidar = deskew_again(self.original, self.offsets_s, delta_twist)
+        kernels.deskew_again(self._original, self._offsets_s, delta_twist, self._shifted)
+        self.points_lidar = self._shifted
 
 
-def deskew_again(points_lidar: Array, offsets_s: Array, delta_twist: Array) -> Array:
-    """First order, for a twist error (6,) constant over the scan: p' = p + (dv + dw x p) t."""
-    return points_lidar + offsets_s[:, None] * (delta_twist[3:] + np.cross(delta_twist[:3], points_lidar))
+def deskew_again(points_lidar: NDArray[Real], offsets_s: Array, delta_twist: Array) -> NDArray[Real]:
+    """The points (N, 3), first order, for a twist error (6,) constant over the scan: p' = p + (dv + dw x p) t."""
+    moved = np.empty_like(points_lidar)
+    kernels.deskew_again(points_lidar, offsets_s, delta_twist, moved)
+    return moved
 
 
-def _normal_equations(
-    classes: tuple[_Class, _Class], T: Array, gate_m: float, noise: Array
-) -> tuple[Array, Array, _Fit]:
+def _normal_equations(classes: list[_Class], T: Array, noise: Array) -> tuple[Array, Array, _Fit]:
     H, b = np.zeros((6, 6)), np.zeros(6)
-    cost, inliers, squares, matched = 0.0, 0, 0.0, 0
+    matched, inliers, squares = 0, 0, 0.0
     for c in classes:
-        if not len(c.points_lidar):
-            continue
-        kernels.transform(T, c.points_lidar, c.points_local)
-        matched += c.voxels.match(c.points_local, gate_m, c.slots)
-        part = kernels.linearise(c.voxels.geometry, c.voxels.moments, c.points_lidar, T, c.slots, noise, H, b)
-        cost, inliers, squares = cost + part[0], inliers + part[1], squares + part[2]
-    return np.triu(H) + np.triu(H, 1).T, b, _Fit(cost, inliers, squares, matched)
+        part = kernels.linearise(c.fits, c.points_lidar, T, noise, H, b)
+        matched, inliers, squares = matched + part[0], inliers + part[1], squares + part[2]
+    return _mirrored(H), b, _Fit(matched, inliers, squares)
 
 
-def _spurious_information(classes: tuple[_Class, _Class], T: Array, noise: Array) -> Array:
+def _spurious_information(classes: list[_Class], T: Array, noise: Array) -> Array:
     """(6, 6): what the fits' uncertain axes add to the normal equations of the last match, in the mean."""
     H = np.zeros((6, 6))
     for c in classes:
-        if len(c.points_lidar):
-            kernels.spurious(c.voxels.geometry, c.voxels.moments, c.points_lidar, T, c.slots, noise, H)
-    return np.triu(H) + np.triu(H, 1).T
+        kernels.spurious(c.fits, c.points_lidar, T, noise, H)
+    return _mirrored(H)
 
 
-def _first_seen_by(classes: tuple[_Class, _Class]) -> NDArray[np.int64]:
+def _mirrored(upper: Array) -> Array:
+    """Symmetric, from the upper triangle; the lower one is zero."""
+    whole = upper + upper.T
+    whole.flat[:: len(whole) + 1] *= 0.5
+    return whole
+
+
+def _first_seen_by(classes: list[_Class]) -> NDArray[np.int64]:
     """Quantiles of the keyframes that the matched voxels are from; empty without a match."""
-    first = np.concatenate([c.voxels.moments[c.slots[c.slots >= 0], 10] for c in classes])
+    first = np.concatenate([np.zeros(0), *(c.fits[c.fits[:, KIND] != 0.0, KEYFRAME] for c in classes)])
     if not len(first):
         return np.zeros(0, np.int64)
-    return np.quantile(first, _QUANTILES, method="nearest").astype(np.int64)
+    first.sort()
+    return first[np.rint(_QUANTILES * (len(first) - 1)).astype(np.int64)].astype(np.int64)
+
+
+def _lengths(xi: Array) -> tuple[float, float]:
+    """rad and m of a tangent (6,)."""
+    a, b, c, x, y, z = xi.tolist()
+    return math.hypot(a, b, c), math.hypot(x, y, z)
+
+
+def _length(values: Array) -> float:
+    return math.hypot(*values.tolist())

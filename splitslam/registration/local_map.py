@@ -11,31 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitslam.registration import _kernels as kernels
+from splitslam.registration._equation_kernels import transform
 from splitslam.registration.settings import LocalMapSettings, VoxelSettings
 
+Array = NDArray[np.float64]
 _CAPACITY = 1 << 14
+_LINE_BYTES = 64
 
 
 class VoxelMap:
-    """A hash map of voxels with one kind of fit (planes or lines), made when it is first asked for.
+    """A hash map of voxels with one kind of fit (planes or lines), each made when a scan first asks for it.
 
-    So a map that is filled with all its keyframes at once, after a restart or a loop, fits each voxel once.
+    So a map that is filled with all its keyframes at once, after a restart or a loop, fits each voxel once, and those
+    that no scan comes near never.
     """
 
     def __init__(self, settings: VoxelSettings, kind: float, capacity: int = _CAPACITY) -> None:
         """capacity: voxels for which memory is taken at once, a power of two; twice as many as will be used."""
-        self.settings = settings
-        self.kind = kind
-        self.limits = np.array(
-            [settings.min_points, settings.max_thickness_m, settings.min_extent_share, settings.max_thickness_ratio]
-        )
+        self.settings = s = settings
+        limits = s.min_points, s.max_thickness_m, s.min_extent_share, s.max_thickness_ratio
+        self.rules = np.array([s.voxel_m, s.levels, kind, *limits], np.float64)
         self._allocate(capacity)
 
     def _allocate(self, capacity: int) -> None:
         self.keys = np.full(capacity, -1, np.int64)
-        self.moments = np.zeros((capacity, 11))
-        self._geometry = np.zeros((capacity, 13))
-        self._stale: list[NDArray[np.int64]] = []  # slots whose fit is older than their moments
+        self.moments = np.zeros((capacity, kernels.MOMENTS))
+        self._geometry = _in_cache_lines(capacity, kernels.GEOMETRY)
         self.used = 0
 
     def clear(self) -> None:
@@ -43,44 +44,31 @@ class VoxelMap:
         self.keys.fill(-1)
         self.moments.fill(0.0)
         self._geometry.fill(0.0)
-        self._stale.clear()
         self.used = 0
 
     @property
-    def geometry(self) -> NDArray[np.float64]:
-        """(capacity, 13) the fit of each slot, see kernels.fit."""
-        if self._stale:
-            s, touched = self.settings, np.unique(np.concatenate(self._stale))
-            kernels.fit(self.keys, self.moments, self._geometry, touched, s.voxel_m, self.kind, self.limits)
-            self._stale.clear()
+    def geometry(self) -> Array:
+        """(capacity, 16) of each slot, all fits made, see _kernels.py."""
+        kernels.fit_all(self.keys, self.moments, self._geometry, self.rules)
         return self._geometry
 
-    def insert(self, points: NDArray[np.float64], keyframe: int) -> None:
+    def insert(self, points: Array, keyframe: int) -> None:
         """Adds the points (N, 3), m, frame of the map, of a keyframe."""
         new = len(points) * self.settings.levels
         if 2 * (self.used + new) > len(self.keys):
             self._grow(new)
-        self.used += self._add(points, keyframe, 1.0)
+        self.used += kernels.insert(self.keys, self.moments, self._geometry, self.rules, points, keyframe)
 
-    def remove(self, points: NDArray[np.float64]) -> None:
+    def remove(self, points: Array) -> None:
         """Takes out the points (N, 3) of a keyframe that is in, the very same to the bit."""
-        self._add(points, 0, -1.0)
-        touched = np.unique(self._stale[-1])
-        gone = self.keys[touched[self.moments[touched, 0] == 0.0]]
-        kernels.forget(self.keys, self.moments, self.geometry, gone)  # fitted before: slots move here
-        self.used -= len(gone)
-
-    def _add(self, points: NDArray[np.float64], keyframe: int, sign: float) -> int:
-        """How many voxels are new."""
-        s = self.settings
-        touched = np.empty(len(points) * s.levels, np.int64)
-        new = kernels.insert(self.keys, self.moments, points, keyframe, s.voxel_m, s.levels, sign, touched)
-        self._stale.append(touched)
-        return new
+        gone = np.empty(len(points) * self.settings.levels, np.int64)
+        count = kernels.take_out(self.keys, self.moments, self._geometry, self.rules, points, gone)
+        kernels.forget(self.keys, self.moments, self._geometry, gone[:count])
+        self.used -= count
 
     def _grow(self, new: int) -> None:
         """A larger table, with room for `new` more voxels."""
-        keys, moments, geometry, stale = self.keys, self.moments, self._geometry, self._stale
+        keys, moments, geometry = self.keys, self.moments, self._geometry
         live = np.flatnonzero(keys != -1)
         capacity = len(keys)
         while capacity < 2 * (len(live) + new):
@@ -90,13 +78,10 @@ class VoxelMap:
         kernels.rehash(self.keys, keys[live], slots)
         self.moments[slots], self._geometry[slots] = moments[live], geometry[live]
         self.used = len(live)
-        if stale:
-            self._stale.append(slots)
 
-    def match(self, points: NDArray[np.float64], gate_m: float, slots: NDArray[np.int64]) -> int:
-        """Slots (N,) of the fits that points (N, 3) belong to, -1 for none; returns how many matched."""
-        s = self.settings
-        return kernels.match(self.keys, self.geometry, points, s.voxel_m, s.levels, gate_m, slots)
+    def match(self, points_lidar: Array, T_map_lidar: Array, gate_m: float, fits: Array) -> None:
+        """fits (N, 16) out: the geometry (see _kernels.py) that points (N, 3) at T_map_lidar (4, 4) belong to."""
+        kernels.match(self.keys, self.moments, self._geometry, self.rules, points_lidar, T_map_lidar, gate_m, fits)
 
 
 class LocalMap:
@@ -118,7 +103,7 @@ class LocalMap:
     def insert(
         self,
         index: int,
-        T_local_lidar: NDArray[np.float64],
+        T_local_lidar: Array,
         corners_lidar: NDArray[np.float32],
         surfs_lidar: NDArray[np.float32],
     ) -> None:
@@ -130,7 +115,7 @@ class LocalMap:
     def remove(
         self,
         index: int,
-        T_local_lidar: NDArray[np.float64],
+        T_local_lidar: Array,
         corners_lidar: NDArray[np.float32],
         surfs_lidar: NDArray[np.float32],
     ) -> None:
@@ -140,7 +125,14 @@ class LocalMap:
         self.keyframes.discard(index)
 
 
-def _moved(T_local_lidar: NDArray[np.float64], points_lidar: NDArray[np.float32]) -> NDArray[np.float64]:
+def _moved(T_local_lidar: Array, points_lidar: NDArray[np.float32]) -> Array:
     points_local = np.empty((len(points_lidar), 3))
-    kernels.transform(T_local_lidar, points_lidar, points_local)
+    transform(T_local_lidar, points_lidar, points_local)
     return points_local
+
+
+def _in_cache_lines(rows: int, columns: int) -> Array:
+    """(rows, columns) zeros that begin with a cache line."""
+    data = np.zeros(rows * columns + _LINE_BYTES // 8)
+    first = -data.ctypes.data % _LINE_BYTES // 8
+    return data[first : first + rows * columns].reshape(rows, columns)

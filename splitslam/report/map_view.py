@@ -37,7 +37,7 @@ class TopView:
 
 
 def read_points(path: Path) -> NDArray[np.float32]:
-    """(N, 4) x y z intensity of a PLY of run.ply, mapped into memory, not read."""
+    """(N, 4) x y z intensity of a map.ply, mapped into memory, not read."""
     with path.open("rb") as file:
         header = file.read(1024)
     offset = header.index(_END) + len(_END)

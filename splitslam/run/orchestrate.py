@@ -96,7 +96,7 @@ def _written(path: Path, model: Any) -> Path:
 def _fetch(
     options: RunOptions, stage: Staging, agent_config: AgentConfig, truth: Trajectory | None, progress: Progress
 ) -> Run:
-    from splitslam.run.ply import write_ply
+    from splitslam.ply import write_ply
     from splitslam.run.session_client import session_client
 
     agent = stage.work / "agent"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat,
 from splitslam.errors import InputError
 from splitslam.logs import fields
 from splitslam.security.identity import Identity
+from splitslam.watched_files import WatchedFiles
 
 _log = logging.getLogger(__name__)
 
@@ -101,35 +100,18 @@ class CertificateFiles:
     def __init__(self, cert: Path | None, key: Path | None, ca: Path) -> None:
         """Raises InputError when they cannot be used now."""
         self._paths = (cert, key, ca)
-        self._lock = threading.Lock()
-        self._seen = self._signature()
-        self._current = read_certificates(*self._paths)
         self.failures = 0
+        self._files = WatchedFiles(filter(None, self._paths), lambda: read_certificates(*self._paths), self._read_anew)
 
     def current(self) -> Certificates:
-        with self._lock:
-            signature = self._signature()
-            if signature != self._seen:
-                self._seen = signature
-                self._read_anew()
-            return self._current
+        return self._files.current()
 
-    def _read_anew(self) -> None:
+    def _read_anew(self, before: Certificates) -> Certificates:
         try:
-            self._current = read_certificates(*self._paths)
+            read = read_certificates(*self._paths)
         except InputError as error:  # such as a key that is replaced a moment after its certificate
             self.failures += 1
-            _log.warning("certificates: %s; those of before stay in use", error)
-        else:
-            _log.info("certificates: read anew", extra=fields(expires_s=self._current.expires_s))
-
-    def _signature(self) -> tuple[tuple[int, int, int] | None, ...]:
-        return tuple(_signature(path) for path in self._paths if path is not None)
-
-
-def _signature(path: Path) -> tuple[int, int, int] | None:
-    try:
-        status = os.stat(path)
-    except OSError:
-        return None
-    return status.st_ino, status.st_mtime_ns, status.st_size
+            _log.warning("certificates not read: those of before stay in use", extra=fields(detail=str(error)))
+            return before
+        _log.info("certificates read anew", extra=fields(expires_s=read.expires_s))
+        return read

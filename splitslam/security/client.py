@@ -12,6 +12,7 @@ from typing import Any
 import grpc
 
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.loopback import is_loopback
 from splitslam.security.settings import ClientTls
 from splitslam.security.tokens import SCHEME
@@ -61,7 +62,7 @@ class Connector:
             except InputError as error:
                 if not self._token:
                     raise
-                _log.warning("%s; the one of before is used", error)
+                _log.warning("token not read: the one of before is used", extra=fields(detail=str(error)))
         return (("authorization", f"{SCHEME}{self._token}"),) if self._token else ()
 
     def trouble(self) -> str:

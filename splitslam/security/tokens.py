@@ -9,12 +9,13 @@ import hashlib
 import hmac
 import logging
 import secrets
-import threading
 from pathlib import Path
 
 from splitslam import config
 from splitslam.errors import InputError
+from splitslam.logs import fields
 from splitslam.security.identity import Identity
+from splitslam.watched_files import WatchedFiles
 
 _log = logging.getLogger(__name__)
 SCHEME = "Bearer "
@@ -49,34 +50,20 @@ class TokenTable:
     def __init__(self, path: Path) -> None:
         """Raises InputError when the file cannot be used."""
         self._path = path
-        self._lock = threading.Lock()
-        self._seen = self._signature()
-        self._hashes = read_tokens(path)
+        self._hashes = WatchedFiles((path,), lambda: read_tokens(path), self._read_anew)
 
     def owner(self, token: str) -> Identity | None:
         """Compares with every entry in full, so that the time it takes tells nothing of any."""
         digest = hash_of(token)
         owner = None
-        for uri, known in self._table().items():
+        for uri, known in self._hashes.current().items():
             if hmac.compare_digest(digest, known):
                 owner = uri
         return None if owner is None else Identity.parse(owner)
 
-    def _table(self) -> dict[str, str]:
-        with self._lock:
-            signature = self._signature()
-            if signature != self._seen:
-                self._seen = signature
-                try:
-                    self._hashes = read_tokens(self._path)
-                except InputError as error:
-                    self._hashes = {}  # who is to be believed is not known: nobody
-                    _log.error("tokens: %s; no token is believed until it is mended", error)
-            return self._hashes
-
-    def _signature(self) -> tuple[int, int] | None:
+    def _read_anew(self, _: dict[str, str]) -> dict[str, str]:
         try:
-            status = self._path.stat()
-        except OSError:
-            return None
-        return status.st_ino, status.st_mtime_ns
+            return read_tokens(self._path)
+        except InputError as error:  # who is to be believed is not known: nobody
+            _log.error("tokens not read: none is believed until they are mended", extra=fields(detail=str(error)))
+            return {}

@@ -9,18 +9,22 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from splitslam.scan import GnssFix, ImuSamples
+from splitslam.scan import GnssFix, ImuSamples, Scan
 from splitslam.sim.lidar import Sweep, packets
 from splitslam.sim.spec import DriveSpec, WheelSpec
 from splitslam.sim.wheels import WheelSamples
 
-SCAN, IMU, FIX, ODOMETRY = (
+SCAN, CLOUD, IMU, FIX, ODOMETRY = (
     "velodyne_msgs/msg/VelodyneScan",
+    "sensor_msgs/msg/PointCloud2",
     "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/NavSatFix",
     "nav_msgs/msg/Odometry",
 )
 _PACKET = "velodyne_msgs/msg/VelodynePacket"
+# As Ouster's driver lays out a point, without what nobody reads.
+_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4"), ("intensity", "u1"), ("ring", "u1")])
+_FIELD_KINDS = {"<f4": 7, "<u4": 6, "|u1": 2}  # of sensor_msgs/PointField
 _SCAN_DELAY_NS = 1_000_000  # from the last firing to the recorder
 _IMU_DELAY_NS = 200_000
 _WHEELS_DELAY_NS = 4_000_000
@@ -52,6 +56,31 @@ class Messages:
             header = self._header(n, spec.start_ns + sweep.first_ns, "velodyne")
             arrival_ns = spec.start_ns + sweep.last_ns + _SCAN_DELAY_NS
             yield arrival_ns, self._types[SCAN](header=header, packets=sent)
+
+    def clouds(self, sweeps: Iterable[Scan]) -> Iterator[Message]:
+        fields = [
+            self._types["sensor_msgs/msg/PointField"](
+                name=name, offset=offset, datatype=_FIELD_KINDS[kind.str], count=1
+            )
+            for name, (kind, offset, *_) in (_POINT.fields or {}).items()
+        ]
+        for n, scan in enumerate(sweeps):
+            points = np.empty(len(scan), _POINT)
+            for axis, name in enumerate("xyz"):
+                points[name] = scan.points_lidar[:, axis]
+            points["t"], points["intensity"], points["ring"] = scan.t_offset_ns, scan.intensity, scan.ring
+            message = self._types[CLOUD](
+                header=self._header(n, scan.stamp_ns, "lidar"),
+                height=1,
+                width=len(points),
+                fields=fields,
+                is_bigendian=False,
+                point_step=_POINT.itemsize,
+                row_step=points.nbytes,
+                data=points.view(np.uint8).reshape(-1),
+                is_dense=True,
+            )
+            yield scan.end_ns + _SCAN_DELAY_NS, message
 
     def imu(self, samples: ImuSamples) -> Iterator[Message]:
         vector, quaternion = (self._types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,10 @@ import yaml
 from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer
 
+from splitslam.scan import Scan
 from splitslam.sim import messages
 from splitslam.sim.gnss import simulate_gnss
+from splitslam.sim.grid_lidar import Grid, GridLidar
 from splitslam.sim.imu import carried_imu, simulate_imu, stated_T_lidar_imu
 from splitslam.sim.lidar import Sweep, Vlp16
 from splitslam.sim.spec import DriveSpec
@@ -25,6 +27,8 @@ from splitslam.sim.world import make_world
 from splitslam.tum import write_tum
 
 SCAN_TOPIC, IMU_TOPIC, GNSS_TOPIC, WHEELS_TOPIC = "/velodyne_packets", "/imu/data", "/gps/fix", "/wheel/odom"
+CLOUD_TOPIC = "/points_raw"
+Stream = tuple[str, str, Iterator[messages.Message]]  # topic, type, arrivals
 _DENSE_NS = 10_000_000  # between them a walker's pose is within 0.1 mm of a straight line
 
 
@@ -58,10 +62,7 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
             if progress is not None:
                 progress(done, lidar.scans)
 
-    part = out.bag_path.with_suffix(".bag.part")
-    part.unlink(missing_ok=True)
-    _write_bag(part, spec, trajectory, watched())
-    part.replace(out.bag_path)
+    _write_bag(out.bag_path, spec, trajectory, lambda make: (SCAN_TOPIC, messages.SCAN, make.scans(spec, watched())))
     write_tum(out.truth_path, truth(trajectory, spec.start_ns, np.array(scans_ns, np.int64)))
     dense_ns = np.arange(int(spec.duration_s * 1e9 / _DENSE_NS) + 1) * _DENSE_NS
     write_tum(out.imu_truth_path, truth(trajectory, spec.start_ns, dense_ns))
@@ -69,13 +70,38 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
     return out
 
 
-def robot_file(spec: DriveSpec) -> str:
-    """The robot file (YAML) of the drive's sensors, as their maker would state them."""
+def simulate_grid(
+    spec: DriveSpec, grid: Grid, out_dir: Path, progress: Callable[[int, int], None] | None = None
+) -> tuple[Path, Path]:
+    """The drive with another LiDAR: writes NAME.bag and NAME.yaml, returns both; see simulate."""
+    world = make_world(spec.world)
+    trajectory = drive_trajectory(spec, world.place)
+    lidar = GridLidar(grid, spec, world, trajectory)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    bag_path, robot_path = (out_dir / f"{spec.name}.{kind}" for kind in ("bag", "yaml"))
+
+    def watched() -> Iterator[Scan]:
+        for done, sweep in enumerate(lidar.sweeps(), start=1):
+            yield sweep
+            if progress is not None:
+                progress(done, lidar.scans)
+
+    robot_path.write_text(robot_file(spec, grid))
+    _write_bag(bag_path, spec, trajectory, lambda make: (CLOUD_TOPIC, messages.CLOUD, make.clouds(watched())))
+    return bag_path, robot_path
+
+
+def robot_file(spec: DriveSpec, grid: Grid | None = None) -> str:
+    """The robot file (YAML) of the drive's sensors, as their maker would state them. grid: None for the VLP-16."""
     lidar, imu = spec.lidar, carried_imu(spec)
+    if grid is None:
+        sensor = {"model": "vlp16", "topic": SCAN_TOPIC, "stamp": "start", "rings": 16, "columns": 1800}
+    else:
+        sensor = {"model": "generic", "topic": CLOUD_TOPIC, "stamp": "start", "rings": grid.rings}
+        sensor |= {"columns": grid.columns, "beam_elevations_deg": [round(e, 6) for e in grid.elevations_deg.tolist()]}
     robot = {
         "robot": {"id": spec.name},
-        "lidar": {"model": "vlp16", "topic": SCAN_TOPIC, "stamp": "start", "rings": 16, "columns": 1800}
-        | {"rate_hz": lidar.rate_hz, "min_range_m": 0.8, "max_range_m": lidar.max_range_m},
+        "lidar": sensor | {"rate_hz": lidar.rate_hz, "min_range_m": 0.8, "max_range_m": lidar.max_range_m},
         "imu": {
             "topic": IMU_TOPIC,
             "rate_hz": imu.rate_hz,
@@ -97,23 +123,26 @@ def _rows(T: NDArray[np.float64]) -> list[list[float]]:
     return [[round(float(v), 12) for v in row] for row in T]
 
 
-def _write_bag(path: Path, spec: DriveSpec, trajectory: Trajectory, sweeps: Iterable[Sweep]) -> None:
+def _write_bag(
+    path: Path, spec: DriveSpec, trajectory: Trajectory, scans: Callable[[messages.Messages], Stream]
+) -> None:
+    """Under another name until it is whole."""
     store = messages.typestore()
     make = messages.Messages(store.types)
-    streams = [
-        (SCAN_TOPIC, messages.SCAN, make.scans(spec, sweeps)),
-        (IMU_TOPIC, messages.IMU, make.imu(simulate_imu(spec, trajectory))),
-    ]
+    streams = [scans(make), (IMU_TOPIC, messages.IMU, make.imu(simulate_imu(spec, trajectory)))]
     if fixes := simulate_gnss(spec, trajectory):
         streams.append((GNSS_TOPIC, messages.FIX, make.fixes(fixes)))
     if spec.wheels is not None:
         turned = simulate_wheels(spec, spec.wheels, trajectory)
         streams.append((WHEELS_TOPIC, messages.ODOMETRY, make.wheels(spec.wheels, turned)))
-    with Writer(path) as bag:
+    part = path.with_suffix(".bag.part")
+    part.unlink(missing_ok=True)
+    with Writer(part) as bag:
         connections = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind, _ in streams}
         tagged = [_tagged(*each) for each in streams]
         for at_ns, topic, kind, message in heapq.merge(*tagged, key=lambda item: item[:2]):
             bag.write(connections[topic], at_ns, store.serialize_ros1(message, kind))
+    part.replace(path)
 
 
 def _tagged(topic: str, kind: str, arrivals: Iterator[messages.Message]) -> Iterator[tuple[int, str, str, Any]]:

@@ -19,6 +19,7 @@ from splitslam.scan import ImuSamples, Scan
 from tests import tolerances
 from tests.check import made
 from tests.check.live import run_live
+from tests.logs.said import said
 
 SCANS = 215
 
@@ -52,8 +53,9 @@ def test_a_mounting_off_by_five_degrees_is_one_warning(shared_data: Path, caplog
     assert [f.where for f in check.findings] == ["T_lidar_imu"]
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
-    assert "T_lidar_imu" in record.message
-    assert "\n" not in record.message
+    ((event, fields),) = said(caplog)
+    assert (event, fields["where"]) == ("robot file and data disagree", "T_lidar_imu")
+    assert "\n" not in fields["detail"]
     assert value(metrics, "problems") == 1
     off_deg = np.degrees(value(metrics, "rotation_radians"))
     assert off_deg == pytest.approx(5.0, abs=2 * tolerances.CHECK_LIVE_ROTATION_DEG)

@@ -15,6 +15,7 @@ from edge_agent.raw_ring import RawRing, RawStream, read_ring
 from edge_agent.sources.bag import Bag
 from splitslam.diagnose.raw import write_raw
 from splitslam.errors import InputError
+from tests.logs.said import said
 
 SCANS, IMU = RawStream("/points", "x/Points", "ros1"), RawStream("/imu", "x/Imu", "ros1")
 MIB = 2**20
@@ -95,9 +96,7 @@ def test_a_full_disk_is_said_once_costs_nothing_else_and_is_got_over(
         patch.setattr(os, "writev", full)
         patch.setattr(raw_ring, "_AGAIN_S", 0.0)
         fill(ring, 5, 300)
-    assert [record.getMessage() for record in caplog.records] == [
-        "raw_ring: [Errno 28] No space left on device; raw messages are not kept"
-    ]
+    assert said(caplog) == [("raw messages not kept", {"detail": "[Errno 28] No space left on device"})]
     assert os.writev is whole
     assert len(list(tmp_path.iterdir())) <= 64
     fill(ring, 300, 305)

@@ -9,6 +9,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.docs import commands, paper_table
+from tests.docs.pages import DOCUMENTS
 
 ROMAN = ("I", "II", "III", "IV", "V", "VI")
 NODES = ("Play", "Imu", "Image", "Feature", "Map", "Rviz")
@@ -20,10 +21,9 @@ EXPECTED = [
     *(f"{name} node" for name in NODES),
 ]
 ROWS = paper_table.read_rows((ROOT / "docs" / "paper.md").read_text())
-DOCUMENTS = sorted(
-    p.relative_to(ROOT) for p in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md"))
-)
 LINK = re.compile(r"\]\((?!https?://|#)([^)#\s]+)")
+PLACE = re.compile(r"\]\((?!https?://)([^)#\s]*)#([^)\s]+)\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EACH_ROW = pytest.mark.parametrize("row", ROWS, ids=lambda row: row.paper)
 
 
@@ -62,10 +62,35 @@ def test_every_command_in_a_document_can_be_typed(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_every_module_and_test_that_a_document_says_to_run_is_there(document: Path) -> None:
+    shown = commands.python_in((ROOT / document).read_text())
+    assert not [problem for command in shown if (problem := commands.mistake_in(command))]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
 def test_every_link_and_picture_of_a_document_leads_to_a_file(document: Path) -> None:
     path = ROOT / document
     missing = [target for target in LINK.findall(path.read_text()) if not (path.parent / target).exists()]
     assert not missing
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_every_link_to_a_place_in_a_document_leads_to_a_heading(document: Path) -> None:
+    path = ROOT / document
+    places = {(path.parent / target if target else path, place) for target, place in PLACE.findall(path.read_text())}
+    missing = [place for target, place in places if target.suffix == ".md" and place not in _anchors(target)]
+    assert not missing
+
+
+def test_the_readme_leads_to_every_page() -> None:
+    linked = set(LINK.findall((ROOT / "README.md").read_text()))
+    assert {str(page) for page in DOCUMENTS if page.parent.name == "docs"} <= linked
+
+
+def _anchors(path: Path) -> set[str]:
+    """As GitHub makes them: letters, digits, hyphens and underscores in lower case."""
+    titles = HEADING.findall(commands.FENCE.sub("", path.read_text()))
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ UNITS = re.compile(r"(^|_)(ms|us|ns|millis\w*|minutes|hours|kb|kbps|mb|bits|degr
 
 
 def test_the_page_is_as_the_code_has_it() -> None:
-    page = make_metrics.PAGE.read_text()
-    assert page == make_metrics.filled(page), "stale: run python -m docs.make_metrics"
+    page = make_metrics.PAGE.path.read_text()
+    assert page == make_metrics.PAGE.filled(page), "stale: run python -m docs.make_metrics"
 
 
 @pytest.mark.parametrize("metric", ALL, ids=lambda metric: metric.name)

@@ -81,7 +81,7 @@ def test_a_killed_agent_and_a_network_that_is_away_cost_no_scan(shared_data: Pat
             relay.away = False
             _, stderr = processes[1].communicate(timeout=90)
             assert processes[1].returncode == 0, stderr
-            assert "continued after scan" in stderr
+            assert "run continued" in stderr
             (session,) = sessions.List(pb.ListRequest(), timeout=10).sessions
             chunks = sessions.Trajectory(pb.TrajectoryRequest(session_id=session.session_id))
             poses = [pose for chunk in chunks for pose in chunk.poses]

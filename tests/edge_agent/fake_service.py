@@ -111,7 +111,7 @@ class FakeService(rpc.EdgeServiceServicer):
             return
         until_s = time.monotonic() + self.welcome_after_s
         while time.monotonic() < until_s:
-            yield self._credit()
+            yield pb.StreamResponse(credit=pb.Credit(window=self.window))  # it has not read the session yet
             time.sleep(self.credit_s)
         self.epoch += 1
         out: queue.Queue[pb.StreamResponse | None] = queue.Queue()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -149,7 +150,7 @@ def test_a_stopped_agent_leaves_its_session_open_and_the_next_one_continues_it(
         process = agent(values | {"source": values["source"] | {"realtime": False}}, tmp_path)
         _, stderr = process.communicate(timeout=60)
         assert process.returncode == 0, stderr
-        assert f"continued after scan {applied}" in stderr
+        assert re.search(rf"run continued run_id=\S+ seq={applied}\b", stderr)
     assert service.finished
     assert service.holes == []
     assert len({hello.run_id for hello in service.hellos}) == 1

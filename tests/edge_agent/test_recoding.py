@@ -13,6 +13,7 @@ from splitslam import codec
 from splitslam.robot import Robot, robot_for_service, robot_from_yaml
 from splitslam.wire import session_pb2 as pb
 from tests.codec.frames import COLUMNS, ELEVATIONS_RAD, made_frame
+from tests.logs.said import said
 
 PAYLOAD = codec.encode(made_frame(), ELEVATIONS_RAD, COLUMNS)
 WHEELS = "wheels: {speed_noise_mps: 0.1}\n"
@@ -56,7 +57,8 @@ def test_a_frame_that_cannot_be_recoded_goes_as_it_is_and_is_told(bad: dict, cap
     session.keep(kept, 0.0)
     with caplog.at_level(logging.WARNING):
         assert sent_to(session, 1) == kept
-    assert "frame 1: not recoded to codec version 1" in caplog.text
+    event, fields = said(caplog)[-1]
+    assert (event, fields["seq"], fields["codec_version"]) == ("frame not recoded", 1, 1)
 
 
 def test_the_empty_frame_that_stands_for_a_lost_first_one_is_left_alone() -> None:

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from edge_agent.spool import Spool
 from edge_agent.spool import spool as spool_module
 from splitslam.wire import session_pb2 as pb
+from tests.logs.said import said
 
 ROOM = 1 << 20
 QUICK = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None  # hundreds of small files, each synced at its end
@@ -228,13 +229,15 @@ def test_a_full_disk_refuses_frames_without_harm_and_takes_them_again_when_there
     assert 100 < len(taken) < 220
     assert taken == list(range(1, len(taken) + 1))
     assert spool.errors["full"] == 299 - len(taken)
-    assert sum("No space left" in record.message for record in caplog.records) == 1
+    ((event, fields),) = said(caplog)
+    assert event == "spool disk fails"
+    assert "No space left" in fields["detail"]
     assert all(spool.get(seq) == frame(seq) for seq in taken)
     for seq in taken:
         spool.release(seq)
     assert spool.put(frame(300), 0)
     assert spool.get(300) == frame(300)
-    assert "takes frames again" in caplog.text
+    assert said(caplog)[-1] == ("spool takes frames again", {"folder": str(small_disk / "run")})
     spool.close()
     assert kept(small_disk / "run") == {300: frame(300)}
 

@@ -13,6 +13,7 @@ import pytest
 from edge_agent.pulse import Pulse
 from edge_agent.watchdog import Watchdog
 from splitslam.notify import Notifier
+from tests.logs.said import said
 
 WATCHDOG_S = 0.4
 
@@ -77,9 +78,9 @@ def test_a_thread_that_is_stuck_stops_them_until_it_goes_on(
             watchdog.close()
         stacks.seek(0)
         assert stacks.read().count("Current thread") == 1  # once, though it was seen many times
-    assert [record.getMessage().partition(" since")[0] for record in caplog.records] == [
-        f"the {pulses[which].name} is stuck",
-        f"the {pulses[which].name} goes on",
+    assert [(event, fields["thread"]) for event, fields in said(caplog)] == [
+        ("thread stuck: no more signs of life", pulses[which].name),
+        ("thread goes on", pulses[which].name),
     ]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from splitslam import se3
+from splitslam.registration import _equation_kernels as equations
 from splitslam.registration import _kernels as kernels
 from splitslam.registration.local_map import VoxelMap
 from splitslam.registration.settings import VoxelSettings
@@ -76,11 +77,11 @@ def test_a_point_is_matched_to_its_own_plane_and_to_none_when_too_far():
     voxels = VoxelMap(PLANES, kernels.PLANE)
     voxels.insert(floor, 0)
     queries = np.array([[0.2, 0.2, 0.1], [0.2, 0.2, -0.1], [0.2, 0.2, 0.9], [30.0, 0.0, 0.0]])
-    slots = np.empty(len(queries), np.int64)
-    assert voxels.match(queries, 0.3, slots) == 2
-    assert (slots[:2] >= 0).all()
-    assert (slots[2:] == -1).all()
-    assert abs(voxels.geometry[slots[0], 5]) > 0.99
+    fits = np.empty((len(queries), kernels.GEOMETRY))
+    voxels.match(queries, np.eye(4), 0.3, fits)
+    assert (fits[:2, kernels.KIND] == kernels.PLANE).all()
+    assert (fits[2:, kernels.KIND] == 0.0).all()
+    assert abs(fits[0, 5]) > 0.99
 
 
 @pytest.mark.parametrize("kind", [kernels.PLANE, kernels.LINE])
@@ -93,24 +94,64 @@ def test_the_normal_equations_equal_their_naive_twin(kind):
     T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.02]))
     lidar = (points[::20] - T[:3, 3]) @ T[:3, :3] + rng.normal(0, 0.05, points[::20].shape)
     local = np.empty_like(lidar)
-    kernels.transform(T, lidar, local)
+    equations.transform(T, lidar, local)
     np.testing.assert_allclose(local, lidar @ T[:3, :3].T + T[:3, 3], atol=1e-12)
-    slots = np.empty(len(lidar), np.int64)
-    voxels.match(local, 0.5, slots)
-    hit = slots >= 0
+    matched = np.empty((len(lidar), kernels.GEOMETRY))
+    voxels.match(lidar, T, 0.5, matched)
+    hit = matched[:, kernels.KIND] != 0.0
     assert hit.sum() > 20
-    noise = np.array([0.02, 1.5])
+    noise = np.array([0.02, 1.5, 0.5])
     H, b = np.zeros((6, 6)), np.zeros(6)
-    kernels.linearise(voxels.geometry, voxels.moments, lidar, T, slots, noise, H, b)
-    g, n = voxels.geometry[slots[hit]], voxels.moments[slots[hit], 0]
+    counted, inliers, _ = equations.linearise(matched, lidar, T, noise, H, b)
+    assert counted == hit.sum() >= inliers > 0
+    g = matched[hit]
+    n = g[:, kernels.COUNT]
     plane = kind == kernels.PLANE
-    fits = [
+    twins = [
         (n[k], g[k, :3], g[k, 3:6], g[k, 7] if plane else g[k, 8], g[k, 6] if plane else g[k, 7], plane)
         for k in range(len(g))
     ]
-    expected_H, expected_b = normal_equations(lidar[hit], T, fits, noise)
+    expected_H, expected_b = normal_equations(lidar[hit], T, twins, noise)
     np.testing.assert_allclose(np.triu(H), np.triu(expected_H), rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(b, expected_b, rtol=1e-4, atol=1e-2)
+
+
+def test_a_match_beyond_the_gate_of_a_later_iteration_counts_for_nothing():
+    rng = np.random.default_rng(15)
+    floor = np.column_stack([rng.uniform(-5, 5, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
+    voxels = VoxelMap(PLANES, kernels.PLANE)
+    voxels.insert(floor, 0)
+    points = np.array([[0.2, 0.2, 0.05], [0.2, 0.2, 0.35]])
+    fits = np.empty((len(points), kernels.GEOMETRY))
+    voxels.match(points, np.eye(4), 0.4, fits)
+    counted = [
+        equations.linearise(fits, points, np.eye(4), np.array([0.02, 1.5, gate_m]), np.zeros((6, 6)), np.zeros(6))[0]
+        for gate_m in (0.4, 0.3, 0.04)
+    ]
+    assert counted == [2, 1, 0]
+
+
+@pytest.mark.parametrize("own", [kernels.PLANE, kernels.LINE])
+def test_a_fit_is_made_when_a_point_asks_and_again_when_its_points_have_changed(own):
+    rng = np.random.default_rng(16)
+    surfs, corners = room(rng, 3000, 0.02)
+    points = surfs if own == kernels.PLANE else corners
+    voxels = VoxelMap(VoxelSettings(levels=2, min_points=5), own)
+    fits = np.empty((len(points), kernels.GEOMETRY))
+    for keyframe, part in enumerate(np.array_split(rng.permutation(points), 3)):
+        voxels.insert(part, keyframe)
+        voxels.match(points, np.eye(4), 0.4, fits)
+    at_once = VoxelMap(VoxelSettings(levels=2, min_points=5), own)
+    at_once.insert(points, 0)
+    expected = np.empty_like(fits)
+    at_once.geometry  # noqa: B018 - makes all fits
+    at_once.match(points, np.eye(4), 0.4, expected)
+    hit = expected[:, kernels.KIND] != 0.0
+    assert hit.sum() > 100
+    np.testing.assert_array_equal(fits[:, kernels.KIND], expected[:, kernels.KIND])
+    np.testing.assert_allclose(fits[hit, 6:9], expected[hit, 6:9], atol=1e-9)
+    np.testing.assert_array_equal(fits[hit, kernels.COUNT], expected[hit, kernels.COUNT])
+    assert set(fits[hit, kernels.KEYFRAME]) >= {0.0, 1.0}
 
 
 def test_eigen_symmetric_equals_lapack():
@@ -165,3 +206,29 @@ def test_an_emptied_map_is_empty():
     assert (voxels.keys == -1).all()
     assert not voxels.moments.any()
     assert not voxels.geometry.any()
+
+
+def test_a_step_of_levenberg_marquardt_equals_lapack_s():
+    rng = np.random.default_rng(17)
+    H, information, b, xi, step = np.eye(6), np.eye(6), np.zeros(6), np.zeros(6), np.empty(6)
+    for _ in range(20):
+        M, N, b, xi = rng.normal(size=(9, 6)), rng.normal(size=(6, 6)), rng.normal(size=6), rng.normal(size=6)
+        H, information, damping = M.T @ M * 10 ** rng.uniform(-3, 6), N @ N.T, 10 ** rng.uniform(-8, 1)
+        total = H + information
+        assert equations.solve(np.triu(H), information, b, xi, damping, step)
+        expected = np.linalg.solve(total + damping * np.diag(np.diag(total)), b - information @ xi)
+        np.testing.assert_allclose(step, expected, rtol=1e-6, atol=1e-9)
+    assert not equations.solve(-H, information, b, xi, 0.0, step)
+    assert not step.any()
+
+
+def test_information_exceeds_another_where_no_eigenvalue_of_the_difference_is_negative():
+    rng = np.random.default_rng(18)
+    scale, answers = np.array([5.0, 5.0, 5.0, 1.0, 1.0, 1.0]), []
+    for _ in range(60):
+        M, N = rng.normal(size=(12, 6)), rng.normal(size=(8, 6))
+        H, other, factor = M.T @ M, N.T @ N, 10 ** rng.uniform(-2.5, 0.5)
+        smallest = np.linalg.eigvalsh((H - factor * other) / np.outer(scale, scale))[0]
+        assert equations.exceeds(H, other, factor, scale) == (smallest > 0)
+        answers.append(smallest > 0)
+    assert 10 < sum(answers) < 50

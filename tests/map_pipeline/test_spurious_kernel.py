@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from splitslam import se3
+from splitslam.registration import _equation_kernels as equations
 from splitslam.registration import _kernels as kernels
 from splitslam.registration.local_map import VoxelMap
 from splitslam.registration.settings import VoxelSettings
@@ -19,18 +20,18 @@ def test_spurious_information_is_what_wavering_axes_make(kind):
     voxels.insert(points, 0)
     T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.02]))
     lidar = (points[::40] - T[:3, 3]) @ T[:3, :3]
-    slots, noise = np.empty(len(lidar), np.int64), np.array([0.02, 1.5])
-    voxels.match(lidar @ T[:3, :3].T + T[:3, 3], 0.5, slots)
-    hit = slots >= 0
+    matched, noise = np.empty((len(lidar), kernels.GEOMETRY)), np.array([0.02, 1.5, 0.5])
+    voxels.match(lidar, T, 0.5, matched)
+    hit = matched[:, kernels.KIND] != 0.0
     assert hit.sum() > 15
     H = np.zeros((6, 6))
-    kernels.spurious(voxels.geometry, voxels.moments, lidar, T, slots, noise, H)
+    equations.spurious(matched, lidar, T, noise, H)
     fits = []
-    for g, n in zip(voxels.geometry[slots[hit]], voxels.moments[slots[hit], 0], strict=True):
+    for g in matched[hit]:
         normal, longest = (g[3:6], g[10:13]) if kind == kernels.PLANE else (None, g[3:6])
         if normal is None:
             normal = np.linalg.svd(longest[None])[2][1]
         axes = np.column_stack([normal, np.cross(longest, normal), longest])
-        fits.append((n, g[:3], axes, g[6:9], kind == kernels.PLANE))
+        fits.append((g[kernels.COUNT], g[:3], axes, g[6:9], kind == kernels.PLANE))
     drawn = spurious_information(lidar[hit], T, fits, noise, 400, rng)
     np.testing.assert_allclose(np.diag(H), np.diag(drawn), rtol=0.15)

@@ -14,7 +14,10 @@ from sqlalchemy import text
 from map_service import __main__ as command
 from map_service.migrations import VERSION
 from map_service.store import Store
+from splitslam.report.map_view import read_points
+from splitslam.tum import read_tum
 from tests.map_service.entries import OPENING, sound
+from tests.map_service.fakes import POINTS_LIDAR
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -61,6 +64,29 @@ def test_sessions_are_listed_shown_and_deleted(run: Run) -> None:
     assert run("sessions", "delete", "r/1", "--force")[0] == 0
     assert run("sessions", "list") == (0, "", "")
     assert run("sessions", "delete", "r/1") == (2, "", "no session 'r/1'\n")
+
+
+@pytest.mark.usefixtures("filled")
+def test_a_session_is_exported_as_map_and_trajectory_or_not_at_all(run: Run, tmp_path: Path, url: str) -> None:
+    out = tmp_path / "out"
+    code, said, _ = run("sessions", "export", "r/1", "--out", str(out))
+    points = 2 * len(POINTS_LIDAR)
+    assert (code, said) == (0, f"{out}/map.ply: {points} points\n{out}/trajectory.tum: 6 poses\n")
+    assert len(read_tum(out / "trajectory.tum")) == 6
+    assert len(read_points(out / "map.ply")) == points
+    run("sessions", "export", "r/1", "--out", str(out), "--voxel-m", "100")
+    assert len(read_points(out / "map.ply")) < points
+    assert run("sessions", "export", "r/9", "--out", str(out)) == (2, "", "no session 'r/9'\n")
+    code, _, err = run("sessions", "export", "r/1", "--out", str(out), "--voxel-m", "0.001")
+    assert (code, err) == (2, "--voxel-m: 0.001: expected 0 or 0.01 to 100\n")
+    store = Store(url)
+    with store.writing() as connection:
+        connection.execute(text("UPDATE clouds SET cloud = :bad"), {"bad": b"no cloud"})
+    store.close()
+    code, _, err = run("sessions", "export", "r/1", "--out", str(tmp_path / "other"))
+    assert (code, err.count("\n")) == (2, 1)
+    assert "map-service store check" in err
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.usefixtures("filled")

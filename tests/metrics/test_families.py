@@ -13,9 +13,9 @@ from edge_agent.metric_list import BREAKS, DROP_REASONS
 from edge_agent.metrics import EdgeMetrics
 from map_service.channel import Beat, RobotStanding
 from map_service.config import MetricsConfig, ServiceConfig
-from map_service.metric_list import ROBOT_METRICS
 from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotGauges, RobotSeen
+from map_service.robot_metric_list import ROBOT_METRICS
 from splitslam.metrics import OTHER, Family, Label, collect
 from splitslam.metrics.definition import counter
 from tests.conftest import ROOT

@@ -148,7 +148,7 @@ def test_an_upgrade_keeps_the_spool_and_sends_what_is_in_it_and_a_roll_back_is_o
         with away:
             manager.start(NUMBA_CACHE_DIR=str(cache / SECOND))
             assert manager.wait() == 0, manager.log.read_text()[-2000:]
-            assert "continued after scan" in manager.log.read_text()
+            assert "run continued" in manager.log.read_text()
             assert sorted(away.applied) == list(range(1, SCANS + 1))
             assert away.holes == []
             assert {hello.agent_version for hello in away.hellos} == {SECOND}

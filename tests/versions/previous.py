@@ -20,6 +20,11 @@ from tests.conftest import ROOT
 
 VERSION = "0.1.0"
 REF = "bb715b8"
+TREES = {  # `git rev-parse REF:PACKAGE`
+    "splitslam": "65234956d2705ac77813ceef70edf9782673b0e4",
+    "edge_agent": "7957b96eac6f9989e2d23a36c41a1e1b8f03d67d",
+    "map_service": "69a683a4946a5a77a1971c31c4356e5f31dd7009",
+}
 WHEEL = Path(__file__).with_name(f"splitslam-{VERSION}-py3-none-any.whl")
 _UNPACKED = ROOT / "build" / "previous" / VERSION  # kept: compiling its kernels takes 20 s
 
