@@ -57,21 +57,21 @@ class LoopCloser:
         """Candidates that became no factor, by reason."""
         return self.gate.refused
 
-    def look(self, seq: int, keyframes: Keyframes, poses: list[Array], loops: list[tuple[int, int]]) -> None:
+    def look(self, seq: int, keyframes: Keyframes, poses: Array, loops: list[tuple[int, int]]) -> None:
         """Submits the newest keyframe's candidates, if it has any; `seq` is its frame, `loops` are in the graph."""
         s = self.settings
         newest = len(keyframes) - 1
-        positions = np.array([T[:3, 3] for T in poses])
-        older = near_candidate(positions, keyframes.stamps_ns(), newest, self.last_used, s)
-        if older is not None:
+        chain = Chain(poses, keyframes.way_m(), loops)
+        older = near_candidate(poses[:, :3, 3], keyframes.stamps_ns(), newest, self.last_used, s)
+        if older is not None and chain.tied_m(older, newest) > s.near_way_m:
             self.last_used = newest
             guess = se3.inv(poses[older]) @ poses[newest]
             self._submit(_Request(seq + s.apply_after_frames, older, newest, False, guess), keyframes, poses)
         place = self._describe(keyframes, poses)
         if place is not None:
-            self._look_alike(seq, place, keyframes, Chain(poses, keyframes.way_m(), loops))
+            self._look_alike(seq, place, keyframes, chain)
 
-    def _describe(self, keyframes: Keyframes, poses: list[Array]) -> int | None:
+    def _describe(self, keyframes: Keyframes, poses: Array) -> int | None:
         """Describes the newest keyframe that has enough others on either side; None: there is no new one."""
         s = self.settings.places
         place = len(self.places)
@@ -83,13 +83,16 @@ class LoopCloser:
         return place
 
     def _look_alike(self, seq: int, place: int, keyframes: Keyframes, chain: Chain) -> None:
+        """Submits the place that looks most like this one, if it may be too far off for a guess."""
         s, stamps = self.settings, keyframes.stamps_ns()
+        if not self._astray(chain.way_m[place]):  # nor is any older place
+            return
         old = int(np.searchsorted(stamps, stamps[place] - round(s.min_age_s * 1e9)))
         match = self.places.search(self._surroundings, old)
         if match is None or match.likeness < s.likeness:
             return
         wait_m = min(self._patience_m, s.strong_patience_m if match.likeness > s.strong_likeness else s.patience_m)
-        if chain.way_m[place] < self._looked_m + wait_m or chain.tied_m(match.older, place) < s.known_way_m:
+        if chain.way_m[place] < self._looked_m + wait_m or not self._astray(chain.tied_m(match.older, place)):
             return
         if any((p.request.older, p.request.newer) == (match.older, place) for p in self._pending):
             return
@@ -98,7 +101,11 @@ class LoopCloser:
         guess = se3.inv(older) @ match.T_older_newer @ newer
         self._submit(_Request(seq + s.apply_after_frames, match.older, place, True, guess), keyframes, chain.poses)
 
-    def _submit(self, request: _Request, keyframes: Keyframes, poses: list[Array]) -> None:
+    def _astray(self, way_m: float) -> bool:
+        """May the graph be off by more than GICP reaches, after such a way? What is nearer is found from its guess."""
+        return self.gate.usual_drift_m(way_m) > self.settings.near_drift_m
+
+    def _submit(self, request: _Request, keyframes: Keyframes, poses: Array) -> None:
         s, r = self.settings, request
         self.tried[LOOKS if r.by_looks else NEAR] += 1
         job = LoopJob(
@@ -155,7 +162,7 @@ class LoopCloser:
         self._stored_places = len(self.places)
         return [(place, self.places.packed(place)) for place in new]
 
-    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: list[Array]) -> None:
+    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: Array) -> None:
         """The reverse of dump, once keyframes and poses are there; a state of the first release has fewer keys.
 
         places: descriptors from the store; those that it lacks are made again, for which every cloud is needed.

@@ -7,7 +7,7 @@ encoding, so that the store can hold it and a restart can build the graph again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
@@ -15,6 +15,7 @@ from gtsam.symbol_shorthand import X, Z
 from numpy.typing import NDArray
 
 from map_service.gnss import GnssMeasurement
+from map_service.growing import Growing
 from map_service.levelling import DOWN
 from map_service.settings import GraphSettings
 from map_service.types import FactorRecord
@@ -45,11 +46,16 @@ class PoseGraph:
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._alive: list[Callable[..., Array]] = []  # gtsam keeps no reference to a Python error function
         self.records: list[FactorRecord] = []
-        self.poses: list[Array] = []
+        self._poses = Growing((4, 4))
         self.drifts: list[Array] = []  # covariance (6, 6) of the local map at each keyframe, see drift.py
         self.loops: list[tuple[int, int]] = []  # (older, newer) keyframes
         self.data: dict[int, Array] = {}  # datum -> T_enu_map
         self._fixes: dict[int, list[tuple[int, Array, Array]]] = {}  # datum -> (keyframe, antenna in it, enu)
+
+    @property
+    def poses(self) -> Array:
+        """(n, 4, 4) T_map_lidar of the keyframes."""
+        return self._poses.values
 
     # --- what the session adds --------------------------------------------------------------------------------
 
@@ -111,8 +117,8 @@ class PoseGraph:
     def _add(self, record: FactorRecord, T_new: Array | None) -> None:
         p = json.loads(record.payload)
         if T_new is not None:
-            self._values.insert(X(len(self.poses)), gtsam.Pose3(T_new))
-            self.poses.append(T_new)
+            self._values.insert(X(len(self._poses)), gtsam.Pose3(T_new))
+            self._poses.append(T_new)
             self.drifts.append(np.reshape(p["drift"], (6, 6)) if "drift" in p else np.eye(6) * _FIXED**2)
         if record.kind == "prior":
             pose, tilt = _square(p["pose"]), p.get("tilt", _FIXED)
@@ -190,10 +196,10 @@ class PoseGraph:
             self._isam.update()
         estimate = self._isam.calculateEstimate()
         rows = gtsam.utilities.extractPose3(estimate)
-        for i in range(len(self.poses)):
-            self.poses[i] = _from_row(rows[i])
-        for row, datum in zip(rows[len(self.poses) :], sorted(self.data), strict=True):  # rows come by key: x, z
-            self.data[datum] = _from_row(row)
+        poses = _from_rows(rows)
+        self._poses.replace(poses[: len(self._poses)])
+        for T, datum in zip(poses[len(self._poses) :], sorted(self.data), strict=True):  # rows come by key: x, z
+            self.data[datum] = T
 
     def tilt_sigma_rad(self, keyframe: int) -> float:
         """How well the graph knows what is level at a keyframe it has optimised."""
@@ -202,7 +208,7 @@ class PoseGraph:
         return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
 
     @classmethod
-    def restore(cls, settings: GraphSettings, records: list[FactorRecord], poses: list[Array]) -> PoseGraph:
+    def restore(cls, settings: GraphSettings, records: list[FactorRecord], poses: Sequence[Array] | Array) -> PoseGraph:
         """Builds the graph again from what the store holds."""
         graph = cls(settings)
         for record in records:
@@ -243,6 +249,9 @@ def _square(values: list[float]) -> Array:
     return T
 
 
-def _from_row(row: Array) -> Array:
-    """gtsam's extractPose3 row: R row-major (9), t (3)."""
-    return se3.compose(row[:9].reshape(3, 3), row[9:12])
+def _from_rows(rows: Array) -> Array:
+    """(n, 4, 4) of gtsam's extractPose3 rows: R row-major (9), t (3)."""
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3] = rows[:, :9].reshape(-1, 3, 3)
+    poses[:, :3, 3] = rows[:, 9:12]
+    return poses

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service.cloud import decode_cloud
+from map_service.growing import Growing
 from map_service.tracker import Track
 from splitslam.features import FeatureFrame
 
@@ -55,17 +56,21 @@ class Keyframes:
         """fetch: for keyframes that were appended without their cloud."""
         self._fetch = fetch
         self._seqs: list[int] = []
-        self._stamps_ns: list[int] = []
-        self._T_local: list[Array] = []
+        self._stamps_ns = Growing(dtype=np.int64)
+        self._T_local = Growing((4, 4))
         self._clouds: list[Cloud | None] = []
-        self._way_m: list[float] = []
+        self._way_m = Growing()
 
     def __len__(self) -> int:
         return len(self._T_local)
 
     def __getitem__(self, index: int) -> Keyframe:
         return Keyframe(
-            index, self._seqs[index], self._stamps_ns[index], self._T_local[index], self._with_clouds([index])[0]
+            index,
+            self._seqs[index],
+            int(self._stamps_ns.values[index]),
+            self.T_local(index),
+            self._with_clouds([index])[0],
         )
 
     @property
@@ -80,8 +85,10 @@ class Keyframes:
 
     def append(self, seq: int, stamp_ns: int, T_local_lidar: Array, cloud: Cloud | None) -> None:
         """Appends one; cloud None: it is in the store."""
-        step_m = np.linalg.norm(T_local_lidar[:3, 3] - self._T_local[-1][:3, 3]) if self else 0.0
-        self._way_m.append(float(step_m) + (self._way_m[-1] if self else 0.0))
+        way_m = 0.0
+        if self:
+            way_m = self._way_m.values[-1] + np.linalg.norm(T_local_lidar[:3, 3] - self.T_local(-1)[:3, 3])
+        self._way_m.append(way_m)
         self._seqs.append(seq)
         self._stamps_ns.append(stamp_ns)
         self._T_local.append(T_local_lidar)
@@ -92,32 +99,31 @@ class Keyframes:
         (cloud,) = self._with_clouds([0])
         self._clouds[0] = Cloud(corners_lidar, surfs_lidar, cloud.corners_intensity, cloud.surfs_intensity)
 
-    def T_local(self, index: int) -> Array:
-        """Pose of a keyframe in `local`."""
-        return self._T_local[index]
+    def T_local(self, index: int | NDArray[np.int64]) -> Array:
+        """Pose of a keyframe in `local`, or of several (n, 4, 4)."""
+        return self._T_local.values[index]
 
-    def move(self, poses: list[Array]) -> None:
-        """New poses for all, after `local` has become `map`."""
-        assert len(poses) == len(self)
-        self._T_local = list(poses)
+    def move(self, poses: Array) -> None:
+        """New poses (n, 4, 4) for all, after `local` has become `map`."""
+        self._T_local.replace(poses)
 
     def within(self, centre_m: Array, radius_m: float) -> list[Keyframe]:
         """The keyframes within the radius of a point (3,) in `local`."""
-        positions = np.array([T[:3, 3] for T in self._T_local])
-        near = [int(i) for i in np.flatnonzero(np.linalg.norm(positions - centre_m, axis=1) < radius_m)]
+        off_m = np.linalg.norm(self._T_local.values[:, :3, 3] - centre_m, axis=1)
+        near = np.flatnonzero(off_m < radius_m).tolist()
         self._with_clouds(near)
         return [self[i] for i in near]
 
     def way_m(self) -> Array:
         """(n,) length of the way from the first keyframe to each as it was driven, m."""
-        return np.array(self._way_m)
+        return self._way_m.values
 
     def stamps_ns(self) -> NDArray[np.int64]:
         """(n,) reference times."""
-        return np.array(self._stamps_ns, np.int64)
+        return self._stamps_ns.values
 
     def submap(
-        self, centre: int, first: int, last: int, poses: list[Array], at_most: int | None = None
+        self, centre: int, first: int, last: int, poses: Array, at_most: int | None = None
     ) -> NDArray[np.float32]:
         """Points (N, 3) of keyframes first..last, inclusive and clipped, in the frame of keyframe `centre`.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from map_service.cloud import encode_cloud
 from map_service.drift import MapDrift
 from map_service.graph import PoseGraph
+from map_service.growing import Growing
 from map_service.keyframes import Cloud, Keyframe, Keyframes
 from map_service.pipeline_statistics import outcomes
 from map_service.tracker_state import TrackerState
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _VERSION = 2
 _READ = (1, 2)  # 1: sessions that a service of 0.1.0 began
-_MOVED = 1e-6
+# m, and rad in entries of the rotation: so far a keyframe has to move to be written again. Each fix moves all a little.
+_MOVED = np.where(np.arange(16).reshape(4, 4) % 4 == 3, 1e-3, 1e-4)
+_MOVED_AT_LAST = 1e-3  # share of that, once the session has ended
 
 
 class CommitLog:
@@ -37,9 +40,10 @@ class CommitLog:
         self._frames_again: dict[int, Array] = {}
         self._keyframes: list[KeyframeRecord] = []
         self._factors = 0
-        self._stored: list[Array] = []  # keyframe poses as the store has them
+        self._stored = Growing((4, 4))  # keyframe poses as the store has them
         self._first_ns = 0
         self._outcomes: Counter[tuple[str, str]] = Counter()  # as they were told last
+        self.exact = False  # are poses to be stored as they are, however little they have moved?
 
     def frame(self, answer: MapAnswer, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
         """Notes an answered frame; `keyframe` is the newest one."""
@@ -81,11 +85,7 @@ class CommitLog:
         self, graph: PoseGraph, tracker: bytes, places: list[tuple[int, bytes]], outcomes: Counter[tuple[str, str]]
     ) -> Commit:
         """Hands over everything new and starts again; `places` are the new ones, `outcomes` counts since the start."""
-        moved = []
-        for i, (stored, now) in enumerate(zip(self._stored, graph.poses, strict=True)):
-            if np.abs(stored - now).max() > _MOVED:
-                moved.append((i, now))
-                self._stored[i] = now
+        moved = self._moved(graph.poses)
         last_seq = self._frames[-1].seq if self._frames else self.last_seq
         factors = graph.records[self._factors :]
         again, new = sorted(self._frames_again.items()), dict(outcomes - self._outcomes)
@@ -95,11 +95,23 @@ class CommitLog:
         self._frames, self._keyframes, self._frames_again = [], [], {}
         return commit
 
+    def _moved(self, poses: Array) -> list[tuple[int, Array]]:
+        """Index and pose of each keyframe that the store has elsewhere."""
+        stored = self._stored.values
+        limit = _MOVED * (_MOVED_AT_LAST if self.exact else 1.0)
+        moved = np.flatnonzero((np.abs(stored - poses) > limit).any(axis=(1, 2)))
+        if len(moved):
+            now = stored.copy()
+            now[moved] = poses[moved]
+            self._stored.replace(now)
+        return [(int(i), poses[i]) for i in moved]
+
     def resume(self, snapshot: Snapshot, outcomes: Counter[tuple[str, str]]) -> None:
         """Continues after what the store has; `outcomes` are counted already."""
         self._outcomes = outcomes
         self.last_seq, self._factors = snapshot.last_seq, len(snapshot.factors)
-        self._stored = [k.T_map_lidar for k in snapshot.keyframes]
+        for keyframe in snapshot.keyframes:
+            self._stored.append(keyframe.T_map_lidar)
 
 
 def dump(pipeline: MapPipeline) -> bytes:

@@ -246,12 +246,11 @@ class MapPipeline:
     def _bent(self) -> bool:
         """Do the corrected keyframes no longer lie where the local map has their points?"""
         s = self.settings.graph
-        back = se3.inv(self.T_map_local)
-        for i in self.tracker.local_map.keyframes:
-            off = se3.inv(self.keyframes.T_local(i)) @ back @ self.graph.poses[i]
-            if np.linalg.norm(off[:3, 3]) > s.rebuild_m or se3.angle(off) > s.rebuild_rad:
-                return True
-        return False
+        there = np.fromiter(self.tracker.local_map.keyframes, np.int64)
+        lie, should = self.keyframes.T_local(there), se3.inv(self.T_map_local) @ self.graph.poses[there]
+        off_m = np.linalg.norm(should[:, :3, 3] - lie[:, :3, 3], axis=1)
+        turned = 0.5 * (np.einsum("nij,nij->n", lie[:, :3, :3], should[:, :3, :3]) - 1.0)  # its cosine
+        return bool((off_m > s.rebuild_m).any() or (turned < np.cos(s.rebuild_rad)).any())
 
     def _rebuild(self) -> None:
         """The local map anew, from the corrected keyframes around the robot; `local` becomes `map`."""
@@ -299,8 +298,9 @@ class MapPipeline:
 
     def finish(self) -> None:
         """End of the session: loops still under verification are waited for and applied."""
-        if self.graph.poses and (cause := self._apply_loops(0, everything=True)):
+        if len(self.graph.poses) and (cause := self._apply_loops(0, everything=True)):
             self._correct(cause)
+        self.log.exact = True
 
     def trajectory(self) -> list[tuple[int, int, Array]]:
         """(seq, stamp_ns, T_map_lidar) of every frame mapped since the start or the restart, by the graph of now."""
