@@ -122,6 +122,12 @@ class Uplink:
             answers, self._dialogue.answers = self._dialogue.answers, []
             return answers
 
+    def wait_answers(self, timeout_s: float) -> list[Answer]:
+        """The same, once there is one or so much time has passed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._dialogue.answers or self._over, timeout_s)
+        return self.take_answers()
+
     def take_want_dense(self) -> bool:
         """Whether the service has asked for a dense frame since the last call."""
         with self._changed:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from map_service.engine import Pipeline
-from map_service.tally import Times
+from map_service.series import Series
 from splitslam.wire import session_pb2 as pb
 
 EVERY_S = 5.0
@@ -23,7 +23,7 @@ class SessionAccounts:
     """
 
     def __init__(self, stored: str, own_cpu_ns: Callable[[], int]) -> None:
-        self._cpu, self._wall = Times(), Times()
+        self._cpu_ms, self._wall_ms = Series(), Series()
         self._own_cpu_ns = own_cpu_ns
         self._front_cpu_ns = 0
         self._start_ns: int | None = None
@@ -52,8 +52,8 @@ class SessionAccounts:
             self._start_ns = self._front_cpu_ns + self._own_cpu_ns()
         wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
         yield
-        self._cpu.add_ns(time.thread_time_ns() - cpu_ns)
-        self._wall.add_ns(time.perf_counter_ns() - wall_ns)
+        self._cpu_ms.add((time.thread_time_ns() - cpu_ns) * 1e-6)
+        self._wall_ms.add((time.perf_counter_ns() - wall_ns) * 1e-6)
 
     def text_if_due(self, pipeline: Pipeline) -> str:
         """JSON for a commit now and then, else "": percentiles of a long session take their time."""
@@ -62,7 +62,7 @@ class SessionAccounts:
     def text(self, pipeline: Pipeline) -> str:
         self._written_s = time.monotonic()
         values = pipeline.statistics()
-        for name, times in (("map_ms", self._cpu), ("map_wall_ms", self._wall)):
+        for name, times in (("map_ms", self._cpu_ms), ("map_wall_ms", self._wall_ms)):
             values[name] = {**values.get(name, {}), "total": times.summary()}
         spent_ns = 0 if self._start_ns is None else self._front_cpu_ns + self._own_cpu_ns() - self._start_ns
         values["cpu_ms"] = self._before_ms + spent_ns * 1e-6

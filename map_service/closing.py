@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from map_service.clouds import CloudsAwayError
 from map_service.keyframes import Keyframes
 from map_service.loop_gate import Admitted, Chain, LoopGate
 from map_service.loops import LoopJob, LoopResult, LoopVerifier, near_candidate
@@ -57,12 +59,13 @@ class LoopCloser:
         """Candidates that became no factor, by reason."""
         return self.gate.refused
 
-    def look(self, seq: int, keyframes: Keyframes, poses: Array, loops: list[tuple[int, int]]) -> None:
+    def look(self, seq: int, keyframes: Keyframes, poses: Sequence[Array], loops: list[tuple[int, int]]) -> None:
         """Submits the newest keyframe's candidates, if it has any; `seq` is its frame, `loops` are in the graph."""
         s = self.settings
         newest = len(keyframes) - 1
-        chain = Chain(poses, keyframes.way_m(), loops)
-        older = near_candidate(poses[:, :3, 3], keyframes.stamps_ns(), newest, self.last_used, s)
+        positions = np.asarray(poses)[:, :3, 3]
+        chain = Chain(poses, keyframes.way_m(), loops, keyframes.branches)
+        older = near_candidate(positions, keyframes.stamps_ns(), newest, self.last_used, s)
         if older is not None and chain.tied_m(older, newest) > s.near_way_m:
             self.last_used = newest
             guess = se3.inv(poses[older]) @ poses[newest]
@@ -71,13 +74,13 @@ class LoopCloser:
         if place is not None:
             self._look_alike(seq, place, keyframes, chain)
 
-    def _describe(self, keyframes: Keyframes, poses: Array) -> int | None:
+    def _describe(self, keyframes: Keyframes, poses: Sequence[Array]) -> int | None:
         """Describes the newest keyframe that has enough others on either side; None: there is no new one."""
         s = self.settings.places
         place = len(self.places)
         if place + s.keyframes >= len(keyframes):
             return None
-        points = keyframes.submap(place, place - s.keyframes, place + s.keyframes, poses, s.points)
+        points = keyframes.submap(place, s.keyframes, s.keyframes, poses, s.points)
         self._surroundings = (points @ se3.level_rotation(_up(poses[place])).T).astype(np.float32)
         self.places.add(self._surroundings)
         return place
@@ -105,14 +108,20 @@ class LoopCloser:
         """May the graph be off by more than GICP reaches, after such a way? What is nearer is found from its guess."""
         return self.gate.usual_drift_m(way_m) > self.settings.near_drift_m
 
-    def _submit(self, request: _Request, keyframes: Keyframes, poses: Array) -> None:
+    def _submit(self, request: _Request, keyframes: Keyframes, poses: Sequence[Array]) -> None:
         s, r = self.settings, request
         self.tried[LOOKS if r.by_looks else NEAR] += 1
+        try:
+            target = keyframes.submap(r.older, s.target_keyframes, s.target_keyframes, poses)
+            source = keyframes.submap(r.newer, s.source_keyframes, s.source_keyframes, poses)
+        except CloudsAwayError:  # the robot goes on without the store, and so without this loop
+            self.gate.refuse("store_away")
+            return
         job = LoopJob(
             r.older,
             r.newer,
-            keyframes.submap(r.older, r.older - s.target_keyframes, r.older + s.target_keyframes, poses),
-            keyframes.submap(r.newer, r.newer - s.source_keyframes, r.newer + s.source_keyframes, poses),
+            target,
+            source,
             r.T_older_newer,
             _up(poses[r.older]),
             _up(poses[r.newer]),
@@ -162,7 +171,7 @@ class LoopCloser:
         self._stored_places = len(self.places)
         return [(place, self.places.packed(place)) for place in new]
 
-    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: Array) -> None:
+    def load(self, data: dict, places: list[bytes], keyframes: Keyframes, poses: Sequence[Array]) -> None:
         """The reverse of dump, once keyframes and poses are there; a state of the first release has fewer keys.
 
         places: descriptors from the store; those that it lacks are made again, for which every cloud is needed.

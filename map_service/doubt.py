@@ -94,6 +94,11 @@ class Doubt:
         usual = self._usual(fit, self.settings.lookout_scans)
         return usual is not None and fit.score >= self.settings.doubt_share * usual
 
+    def as_usual(self, fit: Fit, share: float) -> bool:
+        """Does a scan fit no worse than such a share of what is usual?"""
+        usual = self._usual(fit, self.settings.learn_scans)
+        return usual is not None and fit.score >= share * usual
+
     def can_tell(self, fit: Fit) -> bool:
         """Have there been scans enough to tell a place that fits from one that does not?"""
         return self._usual(fit, self.settings.lookout_scans) is not None

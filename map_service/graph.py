@@ -7,6 +7,7 @@ encoding, so that the store can hold it and a restart can build the graph again.
 from __future__ import annotations
 
 import json
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 import gtsam
@@ -15,7 +16,7 @@ from gtsam.symbol_shorthand import X, Z
 from numpy.typing import NDArray
 
 from map_service.gnss import GnssMeasurement
-from map_service.growing import Growing
+from map_service.growing import Poses
 from map_service.levelling import DOWN
 from map_service.settings import GraphSettings
 from map_service.types import FactorRecord
@@ -45,17 +46,16 @@ class PoseGraph:
         self._isam = gtsam.ISAM2(parameters)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._alive: list[Callable[..., Array]] = []  # gtsam keeps no reference to a Python error function
-        self.records: list[FactorRecord] = []
-        self._poses = Growing((4, 4))
+        self.records: list[FactorRecord] = []  # those that somebody may still ask for
+        self._records_let_go = 0
+        self.poses = Poses()
         self.drifts: list[Array] = []  # covariance (6, 6) of the local map at each keyframe, see drift.py
         self.loops: list[tuple[int, int]] = []  # (older, newer) keyframes
+        self.follows: dict[int, int] = {}  # keyframe -> the one its odometry starts from, where that is not the last
         self.data: dict[int, Array] = {}  # datum -> T_enu_map
-        self._fixes: dict[int, list[tuple[int, Array, Array]]] = {}  # datum -> (keyframe, antenna in it, enu)
-
-    @property
-    def poses(self) -> Array:
-        """(n, 4, 4) T_map_lidar of the keyframes."""
-        return self._poses.values
+        self._fixes: dict[int, deque[tuple[int, Array, Array]]] = {}  # datum -> the newest: keyframe, antenna, enu
+        self._fixes_of: Counter[int] = Counter()  # datum -> how many
+        self.fixed: set[int] = set()  # keyframes that have a fix
 
     # --- what the session adds --------------------------------------------------------------------------------
 
@@ -65,15 +65,23 @@ class PoseGraph:
         self._record("prior", {"pose": _flat(T_map_lidar), "tilt": tilt}, T_map_lidar)
 
     def add_odometry(
-        self, T_map_lidar: Array, T_previous_lidar: Array, covariance: Array, drift: Array | None = None
+        self,
+        T_map_lidar: Array,
+        T_previous_lidar: Array,
+        covariance: Array,
+        drift: Array | None = None,
+        follows: int | None = None,
     ) -> None:
-        """Keyframe n with its motion since keyframe n - 1, covariance (6, 6), right tangent, rotation first.
+        """Keyframe n with its motion since `follows` (None: n - 1), covariance (6, 6), right tangent, rotation first.
 
         drift (6, 6): of the local map there; it is kept for the answers, not used in the graph.
         """
-        payload = {"motion": _flat(T_previous_lidar), "covariance": covariance.reshape(-1).tolist()}
+        motion, covariances = _flat(T_previous_lidar), covariance.reshape(-1).tolist()
+        payload: dict[str, object] = {"motion": motion, "covariance": covariances}
         if drift is not None:
             payload["drift"] = drift.reshape(-1).tolist()
+        if follows is not None and follows != len(self.poses) - 1:
+            payload["from"] = follows
         self._record("odometry", {"to": len(self.poses), **payload}, T_map_lidar)
 
     def add_loop(
@@ -108,17 +116,31 @@ class PoseGraph:
 
     def _record(self, kind: str, payload: dict, T_new: Array | None = None) -> None:
         data = json.dumps({"v": _VERSION, **payload}).encode()
-        record = FactorRecord(len(self.records), kind, data)
+        record = FactorRecord(self.record_count, kind, data)
         self.records.append(record)
         self._add(record, T_new)
+
+    @property
+    def record_count(self) -> int:
+        """Records there have been."""
+        return self._records_let_go + len(self.records)
+
+    def records_from(self, index: int) -> list[FactorRecord]:
+        """Those from number `index` on, none of which may have been let go."""
+        return self.records[index - self._records_let_go :]
+
+    def let_go_records(self, before: int) -> None:
+        """The store has them."""
+        del self.records[: max(before - self._records_let_go, 0)]
+        self._records_let_go = max(self._records_let_go, before)
 
     # --- encoding -> factors ----------------------------------------------------------------------------------
 
     def _add(self, record: FactorRecord, T_new: Array | None) -> None:
         p = json.loads(record.payload)
         if T_new is not None:
-            self._values.insert(X(len(self._poses)), gtsam.Pose3(T_new))
-            self._poses.append(T_new)
+            self._values.insert(X(len(self.poses)), gtsam.Pose3(T_new))
+            self.poses.append(T_new)
             self.drifts.append(np.reshape(p["drift"], (6, 6)) if "drift" in p else np.eye(6) * _FIXED**2)
         if record.kind == "prior":
             pose, tilt = _square(p["pose"]), p.get("tilt", _FIXED)
@@ -130,7 +152,10 @@ class PoseGraph:
         elif record.kind == "odometry":
             noise = gtsam.noiseModel.Gaussian.Covariance(np.reshape(p["covariance"], (6, 6)))
             motion = gtsam.Pose3(_square(p["motion"]))
-            self._graph.add(gtsam.BetweenFactorPose3(X(p["to"] - 1), X(p["to"]), motion, noise))
+            follows = p.get("from", p["to"] - 1)
+            if follows != p["to"] - 1:
+                self.follows[p["to"]] = follows
+            self._graph.add(gtsam.BetweenFactorPose3(X(follows), X(p["to"]), motion, noise))
         elif record.kind == "loop":
             self.loops.append((p["older"], p["newer"]))
             # loops of the first release had two sigmas: rotation rad, translation m
@@ -159,7 +184,9 @@ class PoseGraph:
             self._values.insert(Z(datum), gtsam.Pose3(guess))
             self._graph.add(gtsam.PriorFactorPose3(Z(datum), gtsam.Pose3(guess), noise))
         antenna, enu = np.array(p["antenna"]), np.array(p["enu"])
-        self._fixes.setdefault(datum, []).append((p["keyframe"], antenna, enu))
+        self._fixes.setdefault(datum, deque(maxlen=_OFFSET_FIXES)).append((p["keyframe"], antenna, enu))
+        self._fixes_of[datum] += 1
+        self.fixed.add(p["keyframe"])
         error = _gnss_error(antenna, enu)
         noise = _cauchy(gtsam.noiseModel.Diagonal.Sigmas(np.array(p["sigmas"])), p.get("robust", 3.0))
         self._alive.append(error)
@@ -170,11 +197,11 @@ class PoseGraph:
         """(4, 4) of the datum with the most fixes; None before there is one."""
         if not self.data:
             return None
-        return self.data[max(self._fixes, key=lambda datum: len(self._fixes[datum]))]
+        return self.data[max(self._fixes_of, key=self._fixes_of.__getitem__)]
 
     def gnss_offset_m(self, datum: int) -> Array:
         """(3,) m: by how much the trajectory misses the newest fixes of a datum (median); zero while they are few."""
-        newest = self._fixes.get(datum, [])[-_OFFSET_FIXES:]
+        newest = self._fixes.get(datum, ())
         if len(newest) < _OFFSET_FIXES:
             return np.zeros(3)
         T = self.data[datum]
@@ -196,10 +223,10 @@ class PoseGraph:
             self._isam.update()
         estimate = self._isam.calculateEstimate()
         rows = gtsam.utilities.extractPose3(estimate)
-        poses = _from_rows(rows)
-        self._poses.replace(poses[: len(self._poses)])
-        for T, datum in zip(poses[len(self._poses) :], sorted(self.data), strict=True):  # rows come by key: x, z
-            self.data[datum] = T
+        count, T = len(self.poses), self.poses.matrices
+        T[:, :3, :3], T[:, :3, 3] = rows[:count, :9].reshape(count, 3, 3), rows[:count, 9:12]
+        for row, datum in zip(rows[len(self.poses) :], sorted(self.data), strict=True):  # rows come by key: x, z
+            self.data[datum] = _from_row(row)
 
     def tilt_sigma_rad(self, keyframe: int) -> float:
         """How well the graph knows what is level at a keyframe it has optimised."""
@@ -208,7 +235,7 @@ class PoseGraph:
         return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
 
     @classmethod
-    def restore(cls, settings: GraphSettings, records: list[FactorRecord], poses: Sequence[Array] | Array) -> PoseGraph:
+    def restore(cls, settings: GraphSettings, records: list[FactorRecord], poses: Sequence[Array]) -> PoseGraph:
         """Builds the graph again from what the store holds."""
         graph = cls(settings)
         for record in records:
@@ -249,9 +276,6 @@ def _square(values: list[float]) -> Array:
     return T
 
 
-def _from_rows(rows: Array) -> Array:
-    """(n, 4, 4) of gtsam's extractPose3 rows: R row-major (9), t (3)."""
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = rows[:, :9].reshape(-1, 3, 3)
-    poses[:, :3, 3] = rows[:, 9:12]
-    return poses
+def _from_row(row: Array) -> Array:
+    """gtsam's extractPose3 row: R row-major (9), t (3)."""
+    return se3.compose(row[:9].reshape(3, 3), row[9:12])

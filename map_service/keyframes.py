@@ -1,41 +1,19 @@
-"""The keyframes of one session: where they are in memory, what they saw there or still in the store."""
+"""The keyframes of one session: when and where they were taken, and what they saw."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service.cloud import decode_cloud
-from map_service.growing import Growing
+from map_service.clouds import Cloud, Clouds, Fetch
+from map_service.growing import GrowingArray, Poses
 from map_service.tracker import Track
 from splitslam.features import FeatureFrame
 
 Array = NDArray[np.float64]
-Fetch = Callable[[Sequence[int]], dict[int, bytes]]  # keyframes -> their clouds as map_service.cloud encodes them
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
-    """What a keyframe saw: points (N, 3) float32, m, frame `lidar`, and their intensity (N,) uint8, by class."""
-
-    corners_lidar: NDArray[np.float32]
-    surfs_lidar: NDArray[np.float32]
-    corners_intensity: NDArray[np.uint8]
-    surfs_intensity: NDArray[np.uint8]
-
-    @property
-    def count(self) -> int:
-        """Points of both classes."""
-        return len(self.corners_lidar) + len(self.surfs_lidar)
-
-    @classmethod
-    def decoded(cls, data: bytes) -> Cloud:
-        """From map_service.cloud's encoding. Raises DataError."""
-        points, intensity, is_corner = decode_cloud(data)
-        return cls(points[is_corner], points[~is_corner], intensity[is_corner], intensity[~is_corner])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,88 +28,113 @@ class Keyframe:
 
 
 class Keyframes:
-    """An append-only list. After a restart a cloud is fetched when it is first needed: most never are."""
+    """An append-only list.
+
+    A keyframe follows on the one before, or, where the robot left ground that was mapped already, on another: there a
+    new stretch begins. Neighbours in number are neighbours in the world only within a stretch.
+    """
 
     def __init__(self, fetch: Fetch | None = None) -> None:
         """fetch: for keyframes that were appended without their cloud."""
-        self._fetch = fetch
-        self._seqs: list[int] = []
-        self._stamps_ns = Growing(dtype=np.int64)
-        self._T_local = Growing((4, 4))
-        self._clouds: list[Cloud | None] = []
-        self._way_m = Growing()
+        self.clouds = Clouds(fetch)
+        self._seqs, self._stamps_ns = GrowingArray(dtype=np.int64), GrowingArray(dtype=np.int64)
+        self._poses = Poses()
+        self._way_m, self._stretch = GrowingArray(), GrowingArray(dtype=np.int64)
+        self.branches: list[tuple[int, int, float]] = []  # (keyframe, the one it follows, m between them)
 
     def __len__(self) -> int:
-        return len(self._T_local)
+        return len(self._poses)
 
     def __getitem__(self, index: int) -> Keyframe:
-        return Keyframe(
-            index,
-            self._seqs[index],
-            int(self._stamps_ns.values[index]),
-            self.T_local(index),
-            self._with_clouds([index])[0],
-        )
+        (cloud,) = self.clouds.get([index])
+        return Keyframe(index, int(self._seqs.rows[index]), int(self._stamps_ns.rows[index]), self._poses[index], cloud)
 
-    @property
-    def loaded(self) -> int:
-        """Clouds in memory."""
-        return sum(cloud is not None for cloud in self._clouds)
-
-    def add(self, frame: FeatureFrame, track: Track) -> None:
-        """Appends a tracked dense frame."""
+    def add(self, frame: FeatureFrame, track: Track, follows: int) -> None:
+        """Appends a tracked dense frame; follows: the keyframe that its odometry starts from."""
         cloud = Cloud(track.corners_lidar, track.surfs_lidar, frame.corners.intensity, frame.surfs.intensity)
-        self.append(frame.seq, frame.stamp_ns, track.T_local_lidar, cloud)
+        self.append(frame.seq, frame.stamp_ns, track.T_local_lidar, cloud, follows)
 
-    def append(self, seq: int, stamp_ns: int, T_local_lidar: Array, cloud: Cloud | None) -> None:
-        """Appends one; cloud None: it is in the store."""
-        way_m = 0.0
-        if self:
-            way_m = self._way_m.values[-1] + np.linalg.norm(T_local_lidar[:3, 3] - self.T_local(-1)[:3, 3])
-        self._way_m.append(way_m)
+    def append(
+        self, seq: int, stamp_ns: int, T_local_lidar: Array, cloud: Cloud | None, follows: int | None = None
+    ) -> None:
+        """Appends one; cloud None: it is in the store. follows None: the newest."""
+        newest = len(self) - 1
+        follows = newest if follows is None or not self else follows
+        step_m = float(np.linalg.norm(T_local_lidar[:3, 3] - self._poses[follows][:3, 3])) if self else 0.0
+        if follows != newest:
+            self.branches.append((newest + 1, follows, step_m))
+        self._way_m.append(step_m + (self._way_m.rows[-1] if self else 0.0))
+        self._stretch.append(len(self.branches))
         self._seqs.append(seq)
         self._stamps_ns.append(stamp_ns)
-        self._T_local.append(T_local_lidar)
-        self._clouds.append(cloud)
+        self._poses.append(T_local_lidar)
+        self.clouds.append(cloud)
 
     def replace_first(self, corners_lidar: NDArray[np.float32], surfs_lidar: NDArray[np.float32]) -> None:
         """Keyframe 0 after it was deskewed again."""
-        (cloud,) = self._with_clouds([0])
-        self._clouds[0] = Cloud(corners_lidar, surfs_lidar, cloud.corners_intensity, cloud.surfs_intensity)
+        (cloud,) = self.clouds.get([0])
+        self.clouds.replace(0, Cloud(corners_lidar, surfs_lidar, cloud.corners_intensity, cloud.surfs_intensity))
 
-    def T_local(self, index: int | NDArray[np.int64]) -> Array:
-        """Pose of a keyframe in `local`, or of several (n, 4, 4)."""
-        return self._T_local.values[index]
+    def T_local(self, index: int) -> Array:
+        """Pose of a keyframe in `local`."""
+        return self._poses[index]
 
-    def move(self, poses: Array) -> None:
-        """New poses (n, 4, 4) for all, after `local` has become `map`."""
-        self._T_local.replace(poses)
+    def positions_local_m(self) -> Array:
+        """(n, 3) of all."""
+        return self._poses.positions_m
 
-    def within(self, centre_m: Array, radius_m: float) -> list[Keyframe]:
+    def poses_local(self) -> Array:
+        """(n, 4, 4) of all."""
+        return self._poses.matrices
+
+    def move(self, poses: Sequence[Array]) -> None:
+        """New poses for all, after `local` has become `map`."""
+        assert len(poses) == len(self)
+        self._poses.matrices[:] = np.asarray(poses)
+
+    def place(self, poses: Array, fixed: set[int]) -> None:
+        """New poses (n, 4, 4) for those that are not `fixed`: the local map has these where they were."""
+        kept = sorted(fixed)
+        then = self._poses.matrices[kept]
+        self._poses.matrices[:] = poses
+        self._poses.matrices[kept] = then
+
+    def within(self, centre_m: Array, radius_m: float) -> list[int]:
         """The keyframes within the radius of a point (3,) in `local`."""
-        off_m = np.linalg.norm(self._T_local.values[:, :3, 3] - centre_m, axis=1)
-        near = np.flatnonzero(off_m < radius_m).tolist()
-        self._with_clouds(near)
-        return [self[i] for i in near]
+        away_m = np.linalg.norm(self._poses.positions_m - centre_m, axis=1)
+        return np.flatnonzero(away_m < radius_m).tolist()
+
+    def up_to_seq(self, seq: int) -> int:
+        """How many keyframes are of frames up to `seq`."""
+        return int(np.searchsorted(self._seqs.rows, seq, side="right"))
 
     def way_m(self) -> Array:
-        """(n,) length of the way from the first keyframe to each as it was driven, m."""
-        return self._way_m.values
+        """(n,) length of the way from the first keyframe to each over new ground, m."""
+        return self._way_m.rows
 
     def stamps_ns(self) -> NDArray[np.int64]:
         """(n,) reference times."""
-        return self._stamps_ns.values
+        return self._stamps_ns.rows
+
+    def around(self, centre: int, before: int, after: int) -> range:
+        """Keyframes from `before` before to `after` after one, of its own stretch."""
+        stretch = self._stretch.rows
+        first, last = (
+            np.searchsorted(stretch, stretch[centre], "left"),
+            np.searchsorted(stretch, stretch[centre], "right"),
+        )
+        return range(max(centre - before, int(first)), min(centre + after, int(last) - 1) + 1)
 
     def submap(
-        self, centre: int, first: int, last: int, poses: Array, at_most: int | None = None
+        self, centre: int, before: int, after: int, poses: Sequence[Array], at_most: int | None = None
     ) -> NDArray[np.float32]:
-        """Points (N, 3) of keyframes first..last, inclusive and clipped, in the frame of keyframe `centre`.
+        """Points (N, 3) of the keyframes around one, see `around`, in its frame. Raises CloudsAwayError.
 
         at_most: evenly thinned to about as many points, fewer than twice as many.
         """
         back = np.linalg.inv(poses[centre])
-        chosen = range(max(first, 0), min(last, len(self) - 1) + 1)
-        clouds = self._with_clouds(chosen)
+        chosen = self.around(centre, before, after)
+        clouds = self.clouds.get(chosen)
         every = 1 if at_most is None else max(1, sum(cloud.count for cloud in clouds) // at_most)
         parts = []
         for i, cloud in zip(chosen, clouds, strict=True):
@@ -139,14 +142,3 @@ class Keyframes:
             for points in (cloud.corners_lidar, cloud.surfs_lidar):
                 parts.append((points[::every] @ T[:3, :3].T + T[:3, 3]).astype(np.float32))
         return np.concatenate(parts)
-
-    def _with_clouds(self, indices: Iterable[int]) -> list[Cloud]:
-        """Their clouds; those that are not in memory come with one query."""
-        wanted = list(indices)
-        missing = [i for i in wanted if self._clouds[i] is None]
-        if missing:
-            assert self._fetch is not None
-            for i, data in self._fetch(missing).items():
-                self._clouds[i] = Cloud.decoded(data)
-        clouds = [self._clouds[i] for i in wanted]
-        return [cloud for cloud in clouds if cloud is not None]

@@ -59,7 +59,7 @@ class Leveller:
         """A keyframe with its direction of gravity (3,), frame `lidar`, and the doubt of it."""
         self._seen.append((keyframe, gravity_lidar / np.linalg.norm(gravity_lidar), sigma_rad))
 
-    def tilt(self, poses: Sequence[Array] | Array) -> Tilt | None:
+    def tilt(self, poses: Sequence[Array]) -> Tilt | None:
         """What to correct now, poses being T_map_lidar of all keyframes; None while the map is level enough."""
         s = self.settings
         if not self._seen:
@@ -79,7 +79,7 @@ class Leveller:
         self.active = size_rad > (tolerable_rad * s.until_share if self.active else tolerable_rad)
         return Tilt(newest, poses[newest][:3, :3].T @ down, size_rad, sigma_rad, self.reach_m) if self.active else None
 
-    def _solve(self, poses: Sequence[Array] | Array) -> tuple[Array, Array]:
+    def _solve(self, poses: Sequence[Array]) -> tuple[Array, Array]:
         """Tilt of the map (2,), the x and y of what should be down in it, with its covariance (2, 2).
 
         Least squares over the keyframes: R_i g_i = down + tilt + R_i mounting, older ones fading. Where the keyframes

@@ -9,7 +9,8 @@ waits until others, from other places, say the same: loops are compared in pairs
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,18 +25,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """The graph as the gate sees it: T_map_lidar (n, 4, 4) of the keyframes, the way to each (n,), m, and its loops."""
+    """The graph as the gate sees it: T_map_lidar of the keyframes, the way to each (n,), m, and the loops in it.
 
-    poses: Array
+    branches: (keyframe, the one that it follows instead of the last, m between them), see Keyframes.
+    """
+
+    poses: Sequence[Array]
     way_m: Array
     loops: list[tuple[int, int]]
+    branches: list[tuple[int, int, float]] = field(default_factory=list)
 
     def tied_m(self, a: int, b: int) -> float:
         """Length of the shortest way in the graph from keyframe a to b: along the drive or through loops."""
-        nodes = np.unique([a, b, *(k for pair in self.loops for k in pair)]).tolist()
+        ends = [k for pair in self.loops for k in pair] + [k for *pair, _ in self.branches for k in pair]
+        nodes, begins = np.unique([a, b, *ends]).tolist(), {begin for begin, *_ in self.branches}
         edges: dict[int, list[tuple[int, float]]] = {k: [] for k in nodes}
-        steps = [(i, j, float(self.way_m[j] - self.way_m[i])) for i, j in pairwise(nodes)]
-        for i, j, length in steps + [(i, j, 0.0) for i, j in self.loops]:
+        steps = [(i, j, float(self.way_m[j] - self.way_m[i])) for i, j in pairwise(nodes) if j not in begins]
+        for i, j, length in steps + self.branches + [(i, j, 0.0) for i, j in self.loops]:
             edges[i].append((j, length))
             edges[j].append((i, length))
         best, queue = {a: 0.0}, [(0.0, a)]

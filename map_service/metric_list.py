@@ -21,7 +21,7 @@ REJECTIONS = ("corrupt", "codec_version", "time", "failed")
 CAUSES = tuple(cause.name.lower() for cause in Cause)
 LOOP_RESULTS = (
     *("accepted", "no_match", "not_converged", "few_inliers", "one_sided", "tipped", "ambiguous", "implausible"),
-    *("unsupported", "failed", "verifier_died"),
+    *("unsupported", "failed", "verifier_died", "store_away"),
 )
 GNSS_RESULTS = (
     *("accepted", "gated", "spacing", "covariance", "no_fix", "duplicate", "out_of_order", "late", "early", "lost"),
@@ -185,7 +185,8 @@ LOOP_CANDIDATES = counter(
 LOOPS = counter(
     "splitslam_map_loops",
     "Loop closures that are durable: accepted into the graph, or why not",
-    "ambiguous, implausible: places that are alike. few_inliers, one_sided: a changed site. verifier_died: memory.",
+    "ambiguous, implausible: places that are alike. few_inliers, one_sided: a changed site. verifier_died: memory. "
+    "store_away: it had the older clouds.",
     Label("result", LOOP_RESULTS, open=True),
 )
 GNSS = counter(

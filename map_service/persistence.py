@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from map_service.cloud import encode_cloud
+from map_service.clouds import Cloud
 from map_service.drift import MapDrift
 from map_service.graph import PoseGraph
-from map_service.growing import Growing
-from map_service.keyframes import Cloud, Keyframe, Keyframes
+from map_service.growing import Poses
+from map_service.keyframes import Keyframe, Keyframes
 from map_service.pipeline_statistics import outcomes
 from map_service.tracker_state import TrackerState
 from map_service.types import Commit, FrameRecord, KeyframeRecord, MapAnswer, Snapshot, StateVersionError
@@ -40,13 +40,13 @@ class CommitLog:
         self._frames_again: dict[int, Array] = {}
         self._keyframes: list[KeyframeRecord] = []
         self._factors = 0
-        self._stored = Growing((4, 4))  # keyframe poses as the store has them
+        self._stored = Poses()  # of keyframes, as the store has them
         self._first_ns = 0
         self._outcomes: Counter[tuple[str, str]] = Counter()  # as they were told last
         self.exact = False  # are poses to be stored as they are, however little they have moved?
 
     def frame(self, answer: MapAnswer, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
-        """Notes an answered frame; `keyframe` is the newest one."""
+        """Notes an answered frame and the keyframe that its pose is told by."""
         record = FrameRecord(
             answer.seq,
             answer.stamp_ns,
@@ -62,8 +62,7 @@ class CommitLog:
 
     def keyframe(self, keyframe: Keyframe, T_map_lidar: Array) -> None:
         """Notes a keyframe that is new, or new again (the store replaces it)."""
-        seen = keyframe.cloud
-        cloud = encode_cloud(seen.corners_lidar, seen.surfs_lidar, seen.corners_intensity, seen.surfs_intensity)
+        cloud = keyframe.cloud.encoded()
         self._keyframes.append(KeyframeRecord(keyframe.index, keyframe.seq, keyframe.stamp_ns, T_map_lidar, cloud))
         if keyframe.index == len(self._stored):
             self._stored.append(T_map_lidar)
@@ -85,33 +84,30 @@ class CommitLog:
         self, graph: PoseGraph, tracker: bytes, places: list[tuple[int, bytes]], outcomes: Counter[tuple[str, str]]
     ) -> Commit:
         """Hands over everything new and starts again; `places` are the new ones, `outcomes` counts since the start."""
-        moved = self._moved(graph.poses)
+        stored, now = self._stored.matrices, graph.poses.matrices
+        limit = _MOVED * (_MOVED_AT_LAST if self.exact else 1.0)
+        indices = np.flatnonzero((np.abs(stored - now) > limit).any(axis=(1, 2)))
+        moved = [(int(i), now[i].copy()) for i in indices]
+        stored[indices] = now[indices]
         last_seq = self._frames[-1].seq if self._frames else self.last_seq
-        factors = graph.records[self._factors :]
+        factors = graph.records_from(self._factors)
         again, new = sorted(self._frames_again.items()), dict(outcomes - self._outcomes)
         news = self._frames, self._keyframes, factors, moved, tracker, places, again, new
         commit = Commit(self.last_seq, last_seq, *news)
-        self.last_seq, self._factors, self._outcomes = last_seq, len(graph.records), outcomes
+        self.last_seq, self._factors, self._outcomes = last_seq, graph.record_count, outcomes
         self._frames, self._keyframes, self._frames_again = [], [], {}
         return commit
-
-    def _moved(self, poses: Array) -> list[tuple[int, Array]]:
-        """Index and pose of each keyframe that the store has elsewhere."""
-        stored = self._stored.values
-        limit = _MOVED * (_MOVED_AT_LAST if self.exact else 1.0)
-        moved = np.flatnonzero((np.abs(stored - poses) > limit).any(axis=(1, 2)))
-        if len(moved):
-            now = stored.copy()
-            now[moved] = poses[moved]
-            self._stored.replace(now)
-        return [(int(i), poses[i]) for i in moved]
 
     def resume(self, snapshot: Snapshot, outcomes: Counter[tuple[str, str]]) -> None:
         """Continues after what the store has; `outcomes` are counted already."""
         self._outcomes = outcomes
         self.last_seq, self._factors = snapshot.last_seq, len(snapshot.factors)
-        for keyframe in snapshot.keyframes:
-            self._stored.append(keyframe.T_map_lidar)
+        self._stored = Poses(k.T_map_lidar for k in snapshot.keyframes)
+
+    def stored(self, seq: int, graph: PoseGraph) -> None:
+        """Frames up to `seq` are in the store: factors need not be kept for it."""
+        if seq >= self.last_seq:
+            graph.let_go_records(self._factors)
 
 
 def dump(pipeline: MapPipeline) -> bytes:
@@ -133,6 +129,7 @@ def dump(pipeline: MapPipeline) -> bytes:
             "doubt": pipeline.tracker.doubt.dump(),
             "carried": pipeline.tracker.carried.dump(),
             "found": pipeline.found,
+            "reference": pipeline.ground.reference,
             "slip": pipeline.drift.slip.tolist(),
             "T_map_local": pipeline.T_map_local.tolist(),
             "T_map_odom": pipeline.T_map_odom.tolist(),
@@ -165,7 +162,10 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     pipeline.keyframes = Keyframes(snapshot.fetch_clouds)
     for record in snapshot.keyframes:
         cloud = None if record.cloud is None else Cloud.decoded(record.cloud)
-        pipeline.keyframes.append(record.seq, record.stamp_ns, back @ pipeline.graph.poses[record.index], cloud)
+        T_local_lidar = back @ pipeline.graph.poses[record.index]
+        follows = pipeline.graph.follows.get(record.index)
+        pipeline.keyframes.append(record.seq, record.stamp_ns, T_local_lidar, cloud, follows)
+    pipeline.ground.reference = int(data.get("reference", len(poses) - 1))
     pipeline.tracker.state = TrackerState(
         np.array(data["T_local_lidar"]),
         np.array(data["T_local_keyframe"]),
@@ -192,6 +192,6 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     pipeline.stats.gravity_factors = int(data.get("gravity_factors", 0))
     pipeline.stats.corrections = dict(data["corrections"])
     pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
-    pipeline.mapped_before = snapshot.mapped
+    pipeline.mapped = snapshot.mapped
     pipeline.log.resume(snapshot, outcomes(pipeline))
     pipeline.fill_local_map()

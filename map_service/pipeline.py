@@ -16,18 +16,22 @@ from numpy.typing import NDArray
 
 from map_service import persistence
 from map_service.closing import LoopCloser
+from map_service.clouds import CloudsAwayError, Fetch
 from map_service.drift import MapDrift
 from map_service.gnss import GnssGate, Place
 from map_service.graph import PoseGraph
+from map_service.ground import MappedGround
 from map_service.keyframes import Keyframes
 from map_service.levelling import Leveller
 from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import PipelineStatistics, effort, outcomes
 from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
+from map_service.surroundings import Surroundings
 from map_service.tracker import Track, Tracker
 from map_service.tracker_state import TrackerState
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot, State
+from map_service.wide_search import Fit
 from splitslam import se3
 from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
@@ -55,14 +59,15 @@ class MapPipeline:
         self.leveller = Leveller(settings.level)
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
         self.drift = MapDrift(self.graph.drifts)
+        self.ground = MappedGround(settings.ground)
         self._map_covariance = np.eye(6) * 1e-8  # of the local map around the robot
         self._registered_covariance = np.zeros((6, 6))  # of the last scan that had features
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
         self.found = False  # has the robot been lost, and found again, since the last keyframe?
-        self.built_at_m = np.zeros(3)  # where the robot was, in `local`, when the local map was built
-        self.frames: list[FrameRecord] = []  # since this process has the session
-        self.mapped_before = 0
+        self.surroundings = Surroundings(settings.tracker.local_map)
+        self.frames: list[FrameRecord] = []  # since the start or the restart, but for what the store has
+        self.mapped = 0
         self.stats = PipelineStatistics()
         self.log = persistence.CommitLog()
 
@@ -75,27 +80,49 @@ class MapPipeline:
         if track.first_again is not None:
             self.keyframes.replace_first(*track.first_again)
             self.log.keyframe(self.keyframes[0], self.graph.poses[0])
+            self.fill_local_map()  # with what is kept of its points, so that they can be taken out again
         if before is not None and (r := track.registration) is not None and r.features:
             moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
             self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
             self._map_covariance = self.drift.at(track.T_local_lidar, r.keyframes, self.keyframes.T_local)
             self._registered_covariance = r.covariance
         found = None if track.T_found_carried is None else self._found(track, track.T_found_carried)
-        if track.keyframe:
+        keyframe = track.keyframe and not self._on_mapped_ground(frame, track)
+        if keyframe:
             self._add_keyframe(frame, track)
-        cause = self._level(frame) if track.keyframe else None
+        cause = self._level(frame) if keyframe else None
         cause = self._add_fixes(frame, fixes, track, before, T_map_local) or cause
         cause = self._apply_loops(frame.seq) or cause
         correction = self._correct(cause) if cause else None
-        answer = self._answer(frame, track, found or correction, started, registered)
-        self.frames.append(self.log.frame(answer, len(self.keyframes) - 1, self.graph.poses[-1]))
+        answer = self._answer(frame, track, keyframe, found or correction, started, registered)
+        self.frames.append(self.log.frame(answer, self.ground.reference, self.graph.poses[self.ground.reference]))
+        self.mapped += 1
+        state = self.tracker.state
+        assert state is not None
+        self.surroundings.follow(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes, self._corrected)
         return answer
+
+    def _corrected(self) -> Array:
+        """(n, 4, 4): the keyframes in `local`, where the graph has them."""
+        return se3.inv(self.T_map_local) @ self.graph.poses.matrices
 
     # --- graph ------------------------------------------------------------------------------------------------
 
+    def _on_mapped_ground(self, frame: FeatureFrame, track: Track) -> bool:
+        """Takes another keyframe as reference where one has seen this ground, and the scan says that it still is so."""
+        r, s = track.registration, self.settings.ground
+        if r is None or not r.features or not self.tracker.doubt.as_usual(Fit.of(r), s.usual_share):
+            return False
+        covering = self.ground.covering(track.T_local_lidar, frame.stamp_ns, self.keyframes, self._chain())
+        if covering is None:
+            return False
+        self.ground.reference = covering
+        self.tracker.refer(self.keyframes.T_local(covering))
+        return True
+
     def _add_keyframe(self, frame: FeatureFrame, track: Track) -> None:
         T_map_lidar = self.T_map_local @ track.T_local_lidar
-        index = len(self.keyframes)
+        index, follows = len(self.keyframes), self.ground.reference
         if track.registration is None:
             # a robot that stood is level but for its IMU's mounting, which is not GNSS's to correct
             sigma, s = frame.motion.gravity_sigma_rad, self.settings.level
@@ -103,24 +130,24 @@ class MapPipeline:
                 self.leveller.stood(frame.motion.gravity_lidar, T_map_lidar[:3, :3])
             self.graph.add_first(T_map_lidar, min(sigma, s.stood_prior_rad) if stood else sigma)
         else:
-            motion = se3.inv(self.keyframes.T_local(index - 1)) @ track.T_local_lidar
+            motion = se3.inv(self.keyframes.T_local(follows)) @ track.T_local_lidar
             covariance = self._odometry_covariance(track, motion)
             joint = self._since_lost(self.settings.graph)
-            self.graph.add_odometry(T_map_lidar, motion, covariance + joint, self._covariance(track))
+            self.graph.add_odometry(T_map_lidar, motion, covariance + joint, self._covariance(track), follows)
             if self.gnss is not None:
                 self.gnss.moved(covariance + self._since_lost(self.settings.tracker.doubt))
         self.found = False
-        self.keyframes.add(frame, track)
-        self.tracker.insert(index, track.T_local_lidar, track.corners_lidar, track.surfs_lidar)
+        self.keyframes.add(frame, track, follows)
+        self.ground.reference = index
+        added = self.keyframes[index]
+        self.tracker.insert(index, track.T_local_lidar, added.cloud.corners_lidar, added.cloud.surfs_lidar)
         self.graph.optimise(corrected=False)
-        self.log.keyframe(self.keyframes[index], T_map_lidar)
+        self.log.keyframe(added, T_map_lidar)
         if self.closer is not None:
             self.closer.look(frame.seq, self.keyframes, self.graph.poses, self.graph.loops)
-        if (
-            np.linalg.norm(track.T_local_lidar[:3, 3] - self.built_at_m)
-            > self.settings.tracker.local_map.rebuild_distance_m
-        ):
-            self._rebuild()
+
+    def _chain(self) -> Chain:
+        return Chain(self.graph.poses, self.keyframes.way_m(), self.graph.loops, self.keyframes.branches)
 
     def _covariance(self, track: Track) -> Array:
         """(6, 6) of the pose in the frame of the first one: the map's where it was matched, and the registration's."""
@@ -157,7 +184,7 @@ class MapPipeline:
 
     def _place_again(self, track: Track) -> None:
         """The scans that were carried while the robot was lost, as the map has them now; their answers are given."""
-        T_keyframe_local = se3.inv(self.graph.poses[-1]) @ self.T_map_local
+        T_keyframe_local = se3.inv(self.graph.poses[self.ground.reference]) @ self.T_map_local
         again = {scan.seq: T_keyframe_local @ scan.T_local_lidar for scan in track.placed}
         self.log.place_again(again)
         for i in range(len(self.frames) - 1, -1, -1):
@@ -195,7 +222,8 @@ class MapPipeline:
             self.gnss.reject("lost", len(fixes))
             return None
         antenna = np.asarray(self.robot.gnss.t_lidar_antenna_m, float)
-        T_keyframe_map, T_odom_map = se3.inv(self.graph.poses[-1]), se3.inv(self.T_map_odom)
+        reference = self.ground.reference
+        T_keyframe_map, T_odom_map = se3.inv(self.graph.poses[reference]), se3.inv(self.T_map_odom)
         added = False
         for fix in fixes:
             ratio = (fix.stamp_ns - before.stamp_ns) / (frame.stamp_ns - before.stamp_ns)
@@ -204,20 +232,26 @@ class MapPipeline:
                 continue
             T_map_lidar = T_map_local @ se3.interpolate(before.T_local_lidar, track.T_local_lidar, ratio)
             antenna_map = _at(T_map_lidar, antenna)
-            place = Place(
-                len(self.keyframes) - 1, _at(T_keyframe_map, antenna_map), _at(T_odom_map, antenna_map), self.T_map_odom
-            )
-            for measurement in self.gnss.offer(fix, place):
+            in_keyframe, in_odom = _at(T_keyframe_map, antenna_map), _at(T_odom_map, antenna_map)
+            for measurement in self.gnss.offer(fix, Place(reference, in_keyframe, in_odom, self.T_map_odom)):
+                if reference != len(self.keyframes) - 1 and self._fixed_before(measurement.fix.keyframe):
+                    self.gnss.reject("spacing")
+                    continue
                 self.graph.add_gnss(measurement)
                 self.stats.gnss_factors += 1
                 added = True
         return Cause.GNSS if added else None
 
+    def _fixed_before(self, keyframe: int) -> bool:
+        """Does the ground around a keyframe have its fix? Else old ground collects them for as long as one stays."""
+        fixed = self.graph.poses.positions_m[sorted(self.graph.fixed)]
+        away_m = np.linalg.norm(fixed - self.graph.poses[keyframe][:3, 3], axis=1)
+        return bool((away_m < self.settings.gnss.spacing_m).any())
+
     def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
         if self.closer is None or not self.closer.has_due(seq, everything):
             return None
-        chain = Chain(self.graph.poses, self.keyframes.way_m(), self.graph.loops)
-        admitted = self.closer.due(seq, chain, everything)
+        admitted = self.closer.due(seq, self._chain(), everything)
         for a in admitted:
             scale = max(1.0, a.correction_m / self.settings.loops.translation_sigma_m)
             self.graph.add_loop(a.loop.older, a.loop.newer, a.loop.T_older_newer, a.loop.covariance, scale)
@@ -227,11 +261,11 @@ class MapPipeline:
     def _correct(self, cause: Cause) -> CorrectionRecord | None:
         """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
         self.graph.optimise(corrected=True, far=cause != Cause.GNSS)
-        last = len(self.keyframes) - 1
-        T_before = self.T_map_local @ self.keyframes.T_local(last)
-        delta = self.graph.poses[last] @ se3.inv(T_before)
+        here = self.ground.reference
+        T_before = self.T_map_local @ self.keyframes.T_local(here)
+        delta = self.graph.poses[here] @ se3.inv(T_before)
         T_map_local = se3.orthonormalised(delta @ self.T_map_local)
-        moved = se3.inv(T_before) @ self.graph.poses[last]
+        moved = se3.inv(T_before) @ self.graph.poses[here]
         self.T_map_local = T_map_local
         self.T_map_odom = se3.orthonormalised(delta @ self.T_map_odom)
         s = self.settings.graph
@@ -245,36 +279,43 @@ class MapPipeline:
 
     def _bent(self) -> bool:
         """Do the corrected keyframes no longer lie where the local map has their points?"""
-        s = self.settings.graph
-        there = np.fromiter(self.tracker.local_map.keyframes, np.int64)
-        lie, should = self.keyframes.T_local(there), se3.inv(self.T_map_local) @ self.graph.poses[there]
-        off_m = np.linalg.norm(should[:, :3, 3] - lie[:, :3, 3], axis=1)
-        turned = 0.5 * (np.einsum("nij,nij->n", lie[:, :3, :3], should[:, :3, :3]) - 1.0)  # its cosine
-        return bool((off_m > s.rebuild_m).any() or (turned < np.cos(s.rebuild_rad)).any())
+        s, inserted = self.settings.graph, sorted(self.tracker.local_map.keyframes)
+        then, now = self.keyframes.poses_local()[inserted], self._corrected()[inserted]
+        off_m = np.linalg.norm(now[:, :3, 3] - then[:, :3, 3], axis=1)
+        cosine = (np.einsum("nij,nij->n", now[:, :3, :3], then[:, :3, :3]) - 1.0) / 2.0
+        return bool((off_m > s.rebuild_m).any() or (cosine < np.cos(s.rebuild_rad)).any())
 
     def _rebuild(self) -> None:
         """The local map anew, from the corrected keyframes around the robot; `local` becomes `map`."""
-        state = self.tracker.state
+        state, radius_m = self.tracker.state, self.settings.tracker.local_map.radius_m
         assert state is not None
+        here_m = (self.T_map_local @ state.T_local_lidar)[:3, 3]
+        near = np.flatnonzero(np.linalg.norm(self.graph.poses.positions_m - here_m, axis=1) < radius_m)
+        try:
+            self.keyframes.clouds.get(near.tolist())
+        except CloudsAwayError:  # the map that is there goes on until the store answers: this is asked for again
+            return
         self.tracker.move(self.T_map_local)
         self.T_map_local = np.eye(4)
         self.keyframes.move(self.graph.poses)
         self.fill_local_map()
 
     def fill_local_map(self) -> None:
-        """Inserts every keyframe within the radius of the robot into an empty local map."""
+        """Every keyframe within the radius of the robot. Raises CloudsAwayError."""
         state = self.tracker.state
         assert state is not None
-        centre = state.T_local_lidar[:3, 3]
-        self.built_at_m = centre.copy()
-        self.tracker.local_map.clear()
-        for k in self.keyframes.within(centre, self.settings.tracker.local_map.radius_m):
-            self.tracker.insert(k.index, k.T_local_lidar, k.cloud.corners_lidar, k.cloud.surfs_lidar)
+        self.surroundings.fill(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes)
 
     # --- answers ----------------------------------------------------------------------------------------------
 
     def _answer(
-        self, frame: FeatureFrame, track: Track, correction: CorrectionRecord | None, started, registered
+        self,
+        frame: FeatureFrame,
+        track: Track,
+        keyframe: bool,
+        correction: CorrectionRecord | None,
+        started: tuple[float, float],
+        registered: tuple[float, float],
     ) -> MapAnswer:
         ended = time.perf_counter(), time.thread_time()
         state = self.tracker.state  # a rebuild may have moved the tracker
@@ -290,7 +331,7 @@ class MapPipeline:
             state=track.state,
             degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
             correction=correction,
-            keyframe=track.keyframe,
+            keyframe=keyframe,
             registration_ms=(registered[0] - started[0]) * 1e3,
             graph_ms=(ended[0] - registered[0]) * 1e3,
             effort=effort(track, registered[1] - started[1], ended[1] - registered[1]),
@@ -298,12 +339,12 @@ class MapPipeline:
 
     def finish(self) -> None:
         """End of the session: loops still under verification are waited for and applied."""
-        if len(self.graph.poses) and (cause := self._apply_loops(0, everything=True)):
+        if self.graph.poses and (cause := self._apply_loops(0, everything=True)):
             self._correct(cause)
         self.log.exact = True
 
     def trajectory(self) -> list[tuple[int, int, Array]]:
-        """(seq, stamp_ns, T_map_lidar) of every frame mapped since the start or the restart, by the graph of now."""
+        """(seq, stamp_ns, T_map_lidar) of the frames that are here and not in the store, by the graph of now."""
         poses = self.graph.poses
         return [(f.seq, f.stamp_ns, poses[f.keyframe] @ f.T_keyframe_lidar) for f in self.frames]
 
@@ -311,8 +352,7 @@ class MapPipeline:
         """Counts and times for reports and metrics (JSON-ready)."""
         rejected = {} if self.gnss is None else dict(self.gnss.rejected)
         loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
-        mapped = self.mapped_before + len(self.frames)
-        report = self.stats.report(mapped, len(self.keyframes), rejected, loops_rejected)
+        report = self.stats.report(self.mapped, len(self.keyframes), rejected, loops_rejected)
         if self.closer is not None:
             report["loops_tried"], report["loops_waiting"] = dict(self.closer.tried), len(self.closer.gate.waiting)
         return {**report, "loop_keyframes": [list(pair) for pair in self.graph.loops]}
@@ -328,6 +368,12 @@ class MapPipeline:
         """Everything since the previous commit."""
         places = [] if self.closer is None else self.closer.take_places()
         return self.log.take(self.graph, persistence.dump(self), places, outcomes(self))
+
+    def stored(self, seq: int, fetch: Fetch) -> None:
+        """Frames up to `seq` are in the store, and clouds can be had from there: memory is for what is near."""
+        self.surroundings.stored = seq, fetch
+        self.log.stored(seq, self.graph)
+        self.frames = [f for f in self.frames if f.seq > seq]
 
     @classmethod
     def restore(

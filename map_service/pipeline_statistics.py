@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from map_service.series import Series
 from map_service.tracker import Track
 from map_service.types import CorrectionRecord, Effort
 
@@ -18,7 +16,7 @@ STAGES = ("registration", "graph", "total")
 
 
 class PipelineStatistics:
-    """Grows by 48 bytes a frame; survives no restart (the counts that must are in the pipeline's dump)."""
+    """Survives no restart (the counts that must are in the pipeline's dump)."""
 
     def __init__(self) -> None:
         self.loops = 0
@@ -28,8 +26,8 @@ class PipelineStatistics:
         self.largest_correction_m = 0.0
         self.degenerate_frames = 0
         self.iterations = 0
-        self._cpu_ms = {stage: array("d") for stage in STAGES}
-        self._wall_ms = {stage: array("d") for stage in STAGES}
+        self._cpu_ms = {stage: Series() for stage in STAGES}
+        self._wall_ms = {stage: Series() for stage in STAGES}
 
     def correction(self, record: CorrectionRecord) -> None:
         """Counts a reported jump of T_map_odom."""
@@ -40,9 +38,9 @@ class PipelineStatistics:
     def frame(self, track: Track, started, registered, ended) -> None:
         """Adds the times (wall, thread CPU; s) of one frame's stages."""
         for series, i in ((self._wall_ms, 0), (self._cpu_ms, 1)):
-            series["registration"].append((registered[i] - started[i]) * 1e3)
-            series["graph"].append((ended[i] - registered[i]) * 1e3)
-            series["total"].append((ended[i] - started[i]) * 1e3)
+            series["registration"].add((registered[i] - started[i]) * 1e3)
+            series["graph"].add((ended[i] - registered[i]) * 1e3)
+            series["total"].add((ended[i] - started[i]) * 1e3)
         if track.registration is not None:
             self.iterations += track.registration.iterations
             self.degenerate_frames += bool(track.registration.features and len(track.registration.degenerate_axes))
@@ -62,8 +60,8 @@ class PipelineStatistics:
             "corrections": dict(self.corrections),
             "degenerate_frames": self.degenerate_frames,
             "registration_iterations": self.iterations,
-            "map_ms": {stage: summary(values) for stage, values in self._cpu_ms.items()},
-            "map_wall_ms": {stage: summary(values) for stage, values in self._wall_ms.items()},
+            "map_ms": {stage: series.summary() for stage, series in self._cpu_ms.items()},
+            "map_wall_ms": {stage: series.summary() for stage, series in self._wall_ms.items()},
         }
 
 
@@ -84,17 +82,3 @@ def outcomes(pipeline: MapPipeline) -> Counter[tuple[str, str]]:
     if pipeline.gnss is not None:
         counts.update({("gnss", reason): n for reason, n in pipeline.gnss.rejected.items()})
     return counts
-
-
-def summary(values: array) -> dict[str, float]:
-    """mean, std, p50, p99, max of a series; zeros when empty."""
-    if not values:
-        return dict.fromkeys(("mean", "std", "p50", "p99", "max"), 0.0)
-    v = np.frombuffer(values)
-    return {
-        "mean": float(v.mean()),
-        "std": float(v.std()),
-        "p50": float(np.percentile(v, 50)),
-        "p99": float(np.percentile(v, 99)),
-        "max": float(v.max()),
-    }

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict, deque
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -218,6 +219,7 @@ class Session:
     def commit(self) -> None:
         """Hand everything applied since the last commit over to the store's thread."""
         if self.log.applied_seq > self.log.taken_seq:
+            self._pipeline.stored(self.log.durable_seq, partial(self._store.clouds, self.log.key))
             self.log.put(self._compose(self.accounts.text_if_due(self._pipeline), finished=False))
 
     def finish(self) -> None:

@@ -77,6 +77,18 @@ class TrackerSettings(Model):
     lost_frames: int = 10
 
 
+class GroundSettings(Model):
+    """When a keyframe of before stands for the ground that the robot is on."""
+
+    reach_m: float = Field(default=0.9, description="no further than keyframes are apart")
+    turn_rad: float = Field(default=0.5, description="a sensor may not see all around it")
+    min_age_s: float = Field(default=30.0, description="younger ones are of this visit")
+    tied_m: float = Field(default=20.0, description="way in the graph to where the robot is")
+    usual_share: float = Field(
+        default=0.85, description="of the usual fit: where a scan fits worse things have changed"
+    )
+
+
 class GraphSettings(Model):
     """The factor graph."""
 
@@ -239,6 +251,7 @@ class PipelineSettings(Model):
 
     tracker: TrackerSettings = TrackerSettings()
     graph: GraphSettings = GraphSettings()
+    ground: GroundSettings = GroundSettings()
     gnss: GnssSettings = GnssSettings()
     level: LevelSettings = LevelSettings()
     loops: LoopSettings = LoopSettings()

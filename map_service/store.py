@@ -17,6 +17,7 @@ from sqlalchemy import Connection, Engine, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from map_service import schema
+from map_service.clouds import CloudsAwayError
 from map_service.database import StoreError, open_engine, reading, store_errors
 from map_service.rows import SessionCommit, insert_rows, unpack_pose
 from map_service.types import FactorRecord, KeyframeRecord, Snapshot
@@ -27,6 +28,10 @@ _RACES = 8  # lost one after the other, when a session is opened by many
 
 class FencedError(Exception):
     """Another owner has opened the session since, or it is gone: nothing was written."""
+
+
+class CloudsUnreadError(StoreError, CloudsAwayError):
+    """The database fails while clouds are read, which a pipeline can wait for."""
 
 
 class FinishedError(Exception):
@@ -205,14 +210,17 @@ class Store:
         )
 
     def clouds(self, key: int, keyframes: Sequence[int]) -> dict[int, bytes]:
-        """Their clouds. Raises StoreError also when one is not there: the session was deleted."""
+        """Their clouds. Raises CloudsUnreadError, or StoreError when one is not there: the session was deleted."""
         c = schema.clouds
         found: dict[int, bytes] = {}
-        with self.reading() as connection:
-            for first in range(0, len(keyframes), _CLOUDS_AT_ONCE):
-                some = keyframes[first : first + _CLOUDS_AT_ONCE]
-                query = select(c.c.keyframe, c.c.cloud).where(c.c.session == key, c.c.keyframe.in_(some))
-                found.update((row.keyframe, row.cloud) for row in connection.execute(query))
+        try:
+            with self.reading() as connection:
+                for first in range(0, len(keyframes), _CLOUDS_AT_ONCE):
+                    some = keyframes[first : first + _CLOUDS_AT_ONCE]
+                    query = select(c.c.keyframe, c.c.cloud).where(c.c.session == key, c.c.keyframe.in_(some))
+                    found.update((row.keyframe, row.cloud) for row in connection.execute(query))
+        except StoreError as error:
+            raise CloudsUnreadError(str(error)) from error
         if missing := set(keyframes) - set(found):
             raise StoreError(f"no cloud of keyframe {min(missing)}")
         return found

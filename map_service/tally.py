@@ -1,12 +1,9 @@
-"""Counters of a worker on their way to the front, and summaries of times."""
+"""Counters of a worker on their way to the front."""
 
 from __future__ import annotations
 
 import threading
-from array import array
 from collections import defaultdict
-
-import numpy as np
 
 from map_service.types import MapAnswer
 
@@ -53,25 +50,3 @@ class Tally:
             taken = dict(self._counts), self._observations
             self._counts, self._observations = defaultdict(float), []
             return taken
-
-
-class Times:
-    """Durations of one stage over a session, ms; 4 bytes each."""
-
-    def __init__(self) -> None:
-        self._values_ms = array("f")
-
-    def add_ns(self, duration_ns: int) -> None:
-        self._values_ms.append(duration_ns * 1e-6)
-
-    def summary(self) -> dict[str, float]:
-        """{mean, std, p50, p99, max}, ms; zeros when empty."""
-        values = np.array(self._values_ms, dtype=float) if self._values_ms else np.zeros(1)
-        p50, p99 = np.percentile(values, (50, 99))
-        return {
-            "mean": float(values.mean()),
-            "std": float(values.std()),
-            "p50": float(p50),
-            "p99": float(p99),
-            "max": float(values.max()),
-        }

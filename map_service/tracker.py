@@ -37,7 +37,7 @@ class Track:
     T_local_lidar: Array
     registration: RegistrationResult | None
     state: State
-    keyframe: bool
+    keyframe: bool  # it has moved far enough to be one
     corners_lidar: NDArray[np.float32]
     surfs_lidar: NDArray[np.float32]
     first_again: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None  # keyframe 0, deskewed again
@@ -273,6 +273,11 @@ class Tracker:
     ) -> None:
         """Adds keyframe `index` to the local map."""
         self.local_map.insert(index, T_local_lidar, corners_lidar, surfs_lidar)
+
+    def refer(self, T_local_keyframe: Array) -> None:
+        """The keyframe (4, 4) from which on new ground is measured, where that is not the scan at hand."""
+        assert self.state is not None
+        self.state = replace(self.state, T_local_keyframe=T_local_keyframe)
 
     def move(self, T_new_local: Array) -> None:
         """`local` is renamed: everything the tracker holds moves along."""

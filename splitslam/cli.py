@@ -220,6 +220,44 @@ def bench_delay(
     print(f"{out / 'delay.json'}\n{out / 'delay.png'}")
 
 
+@bench.command("load")
+def bench_load(
+    recording: Annotated[
+        Path | None, typer.Argument(metavar="[RECORDING]", help="A bag; without, a drive that is made.")
+    ] = None,
+    robots: Annotated[int | None, typer.Option(metavar="N", help="So many; without, the most are searched.")] = None,
+    seconds: Annotated[float, typer.Option(metavar="S", help="How long each try plays.")] = 30.0,
+    start: Annotated[
+        str, typer.Option(metavar="HOW", help="together: all in step, the worst case; or spread over a second.")
+    ] = "together",
+    workers: Annotated[int, typer.Option(metavar="N", help="Of the service; 0: its default.")] = 0,
+    robot: Annotated[Path | None, typer.Option(metavar="FILE", help="Robot file of the recording.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where load.json goes.")] = Path("out/load"),
+    as_json: Annotated[bool, typer.Option("--json", help="Print load.json.")] = False,
+) -> None:
+    """How many robots one map service answers in time on this machine, and what one costs."""
+    import json
+
+    from splitslam.run.options import check_installed
+
+    check_installed(("edge", "server") if recording else ("sim", "edge", "server"))
+    from splitslam.bench.load.command import LoadOptions
+    from splitslam.bench.load.command import bench_load as measure
+    from splitslam.bench.load.show import show
+    from splitslam.run.progress import Progress
+    from splitslam.stack.process import StackError
+
+    options = LoadOptions(out, recording, robot, robots, seconds, start, workers)  # type: ignore[arg-type]
+    try:
+        with Progress() as progress:
+            result = measure(options, progress)
+    except StackError as error:
+        raise RunFailedError(str(error)) from None
+    print(json.dumps(result)) if as_json else show(result)
+    if robots is not None and not result["largest"]:
+        raise typer.Exit(1)
+
+
 @app.command("demo")
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.")] = Path("out/demo"),

@@ -136,3 +136,8 @@ UNIT_EXPOSURE_FPGA = 6.0
 
 # Counting one scan on either side, CPU time of the thread: ten times what was seen (docs/benchmarks.md).
 METRICS_CPU_S = 200e-6
+
+# Growth by area (issue: within 10 %), between laps of the same ground. Answers there, and after 300 m of new ground, m.
+GROWTH_BY_TIME = 1.1
+SAME_GROUND_OFF_M = 0.05
+NEW_GROUND_OFF_M = 0.3

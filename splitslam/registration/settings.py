@@ -25,7 +25,8 @@ class LocalMapSettings(Model):
     surfs: VoxelSettings = VoxelSettings()
     corners: VoxelSettings = VoxelSettings(voxel_m=0.5, levels=2, min_points=5, max_thickness_m=0.12)
     radius_m: float = 80.0
-    rebuild_distance_m: float = 40.0
+    rebuild_distance_m: float = Field(default=40.0, description="so much further behind keyframes stay in it")
+    step_m: float = Field(default=5.0, description="way after which it is looked who is near")
 
 
 class RegistrationSettings(Model):

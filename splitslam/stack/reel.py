@@ -5,11 +5,15 @@ from __future__ import annotations
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitslam.wire import session_pb2 as pb
+
+if TYPE_CHECKING:
+    from map_service.loops import LoopVerifier
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +35,12 @@ class Reel:
         return hello
 
 
-def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> Reel:
+def record(
+    recording: Path, robot_file: Path, max_scans: int | None = None, verifier: LoopVerifier | None = None
+) -> Reel:
     """The recording through the edge's pipeline, with a map pipeline in this process as the service.
 
-    GNSS, wheels and loops are off. Raises InputError for files that cannot be used.
+    GNSS and wheels are off; so are loops without a `verifier`. Raises InputError for files that cannot be used.
     """
     from edge_agent.imu import ImuSettings, make_imu_node
     from edge_agent.pipeline import EdgePipeline
@@ -50,7 +56,7 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
     from splitslam.robot import load_robot, robot_for_service
     from splitslam.scan import ImuSamples, ScanPacket
 
-    off = frozenset({"gnss", "loops", "wheels"})
+    off = frozenset({"gnss", "wheels"} if verifier else {"gnss", "loops", "wheels"})
     robot = load_robot(robot_file).model_copy(update={"gnss": None, "wheels": None})
     frames: list[pb.Frame] = []
     answers: list[NDArray[np.float64]] = []
@@ -58,7 +64,7 @@ def record(recording: Path, robot_file: Path, max_scans: int | None = None) -> R
         beams = read.beam_elevations_rad
         imu = make_imu_node(read.robot, ImuSettings())
         edge = EdgePipeline(read.robot, EdgeSettings(), beams, imu)
-        service = MapPipeline(read.robot, MapSettings(), NoLoops(), off, edge.image_node.name)
+        service = MapPipeline(read.robot, MapSettings(), verifier or NoLoops(), off, edge.image_node.name)
         sequencer = Sequencer(read.robot)
         items = (item for _, event in read.events() for item in sequencer.push(event))
         for item in (*items, *sequencer.finish()):

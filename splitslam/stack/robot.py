@@ -16,7 +16,7 @@ from splitslam.stack.process import wait_until
 from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
 
-_POLL_S = 0.002
+_LOOK_S = 0.1  # how often it looks whether it shall stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,11 @@ class LightRobot:
             if self._uplink.wait_welcome() is None:
                 return
             due_s = time.monotonic()
-            while not self._stop.wait(_POLL_S):
-                self._listen()
-                if time.monotonic() >= due_s and self.sent < len(self._reel.frames):
+            while not self._stop.is_set():
+                left = self.sent < len(self._reel.frames)
+                wait_s = due_s - time.monotonic() if left else _LOOK_S
+                self._listen(min(max(wait_s, 0.0), _LOOK_S))
+                if left and time.monotonic() >= due_s:
                     frame = pb.Frame()
                     frame.CopyFrom(self._reel.frames[self.sent])  # the uplink writes into it
                     self._uplink.send(frame)
@@ -75,9 +77,10 @@ class LightRobot:
         except Exception as error:  # for whoever asks: a thread has nobody to raise to
             self.failure = error
 
-    def _listen(self) -> None:
+    def _listen(self, wait_s: float = 0.0) -> None:
+        answers = self._uplink.wait_answers(wait_s)
         now_s = time.monotonic()
-        self.heard += [Heard(now_s, answer) for answer in self._uplink.take_answers()]
+        self.heard += [Heard(now_s, answer) for answer in answers]
 
     def wait_answers(self, count: int, timeout_s: float = 30.0) -> None:
         """Until `count` frames are answered. Raises StackError, or what ended the robot."""

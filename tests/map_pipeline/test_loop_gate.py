@@ -19,7 +19,7 @@ def chain(drift_m: float = 0.0, loops: list[tuple[int, int]] | None = None) -> C
     for k in range(2 * LAP):
         x = float(k % LAP) if k % LAP < LAP // 2 else float(LAP - k % LAP)
         poses.append(se3.compose(np.eye(3), np.array([x, drift_m if k >= LAP else 0.0, 0.0])))
-    return Chain(np.array(poses), np.arange(2.0 * LAP), loops or [])
+    return Chain(poses, np.arange(2.0 * LAP), loops or [])
 
 
 def loop(older: int, *, side_m: float = 0.0, yaw: float = 0.0, distinct: bool = True, reason: str = "") -> LoopResult:

@@ -190,14 +190,14 @@ class LaterVerifier:
         return future
 
 
-def there_and_back(count: int = 3) -> tuple[Keyframes, np.ndarray, Chain]:
+def there_and_back(count: int = 3) -> tuple[Keyframes, list[np.ndarray], Chain]:
     keyframes, poses = Keyframes(), []
     cloud, shade = np.zeros((4, 3), np.float32), np.zeros(4, np.uint8)
     for k in range(count):
         T = se3.compose(np.eye(3), np.array([20.0 * (k % 2), 0, 0]))
         poses.append(T)
         keyframes.append(k + 1, k * 40 * SECOND, T, Cloud(cloud, cloud, shade, shade))
-    return keyframes, np.array(poses), Chain(np.array(poses), keyframes.way_m(), [])
+    return keyframes, poses, Chain(poses, keyframes.way_m(), [])
 
 
 def test_results_are_applied_at_a_fixed_number_of_scans_however_fast_they_come():
@@ -226,7 +226,7 @@ def test_a_place_that_a_loop_has_tied_not_far_back_needs_no_other(tied_m: float,
         keyframes.append(k + 1, k * 40 * SECOND, T, keyframes[6].cloud)
     verifier = LaterVerifier()
     closer = LoopCloser(LoopSettings(), verifier)
-    closer.look(100, keyframes, np.array([*poses, poses[6] @ aside, poses[6]]), [(0, 6)])
+    closer.look(100, keyframes, [*poses, poses[6] @ aside, poses[6]], [(0, 6)])
     assert len(verifier.jobs) == tried
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from map_service.cloud import encode_cloud
+from map_service.clouds import Fetch
 from map_service.database import StoreError
 from map_service.hello import SessionRequest
 from map_service.settings import PipelineSettings
@@ -102,6 +103,9 @@ class FakePipeline:
         commit = Commit(-1, -1, self.frames, self.new_keyframes, self.factors, self.moved, json.dumps(state).encode())
         self.frames, self.new_keyframes, self.factors, self.moved = [], [], [], []
         return commit
+
+    def stored(self, seq: int, fetch: Fetch) -> None:
+        """Keeps nothing for the store."""
 
     def finish(self) -> None:
         self.keyframes = [x_m + FINAL_SHIFT_M for x_m in self.keyframes]
