@@ -341,6 +341,7 @@ class MapPipeline:
         """End of the session: loops still under verification are waited for and applied."""
         if self.graph.poses and (cause := self._apply_loops(0, everything=True)):
             self._correct(cause)
+        self.log.exact = True
 
     def trajectory(self) -> list[tuple[int, int, Array]]:
         """(seq, stamp_ns, T_map_lidar) of the frames that are here and not in the store, by the graph of now."""
