@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import os
 import signal
 import sys
@@ -41,6 +42,7 @@ def run(
 ) -> None:
     """Run the agent until its source ends or it gets SIGTERM or SIGINT."""
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # gRPC's own lines are not for the robot's operator
+    gc.disable()  # until the first scan: what is imported stays
     from edge_agent.config import ENVIRONMENT_PREFIX, AgentConfig
     from edge_agent.service import Reloader, in_service_folders
     from splitslam.config import dump, load

@@ -81,7 +81,7 @@ class LiveCheck:
         if isinstance(event, ImuSamples):
             self._heard.samples.append(event)
             if len(self._heard.samples) > 1000:
-                self._heard.samples = [_joined(self._heard.samples)]
+                self._heard.samples = [ImuSamples.joined(self._heard.samples)]
         elif isinstance(event, Scan):
             self._heard.scans_ns.append(event.stamp_ns)
         elif isinstance(event, GnssFix):
@@ -129,7 +129,7 @@ class LiveCheck:
             return found, None
         if sum(map(len, heard.samples)) < 20:
             return [*found, Finding("imu", "fewer than 20 samples so far", f"{imu.rate_hz:g} a second")], None
-        came = _joined(heard.samples)
+        came = ImuSamples.joined(heard.samples)
         found += streams.findings("imu", streams.statistics(came.stamps_ns), imu.rate_hz)
         samples = _rising(came)
         clock = streams.same_clock(np.array(heard.scans_ns), samples.stamps_ns)
@@ -164,14 +164,6 @@ def _without_figures(finding: Finding) -> Finding:
     if finding.where == "T_lidar_imu" and finding.severity is Severity.PROBLEM:
         return replace(finding, expected="what `splitslam check` finds in a recording of this robot")
     return finding
-
-
-def _joined(samples: list[ImuSamples]) -> ImuSamples:
-    return ImuSamples(
-        np.concatenate([s.stamps_ns for s in samples]),
-        np.concatenate([s.gyro_radps for s in samples]),
-        np.concatenate([s.accel_mps2 for s in samples]),
-    )
 
 
 def _rising(samples: ImuSamples) -> ImuSamples:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import sys
 import threading
@@ -187,6 +188,9 @@ class _Run:
             return
         loop = self._loop()
         self._progress.start(self._recording.scan_count)
+        gc.freeze()  # the collector would look at all that was imported and made so far every few seconds
+        self._cleanup.callback(gc.unfreeze)
+        gc.enable()
         self._reader.start()
         self._watch_over(loop)
         loop.run(self._queue.batches())

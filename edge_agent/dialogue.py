@@ -136,6 +136,10 @@ class Dialogue:
             return pb.StreamRequest(bye=self.bye)
         return None
 
+    def may_say(self, now_s: float) -> bool:
+        """False: `next_request` has nothing as things are."""
+        return self.outbox.unsent > 0 or self.bye is not None or self.report_due(now_s)
+
     def _held_back(self, now_s: float) -> bool:
         """By the limit; a run faster than the clock keeps it by the recording's time alone (edge_agent/rate.py)."""
         size = 0 if self.hello.lockstep else self.outbox.next_size()

@@ -6,6 +6,7 @@ By the clock: answers are applied as they come and nobody waits.
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -64,6 +65,7 @@ class Sequencer(Protocol):
     """edge_agent.sources.sequencer.Sequencer."""
 
     def push(self, event: Event, arrival_ns: int | None = None) -> Sequence[Item]: ...
+    def push_imu(self, samples: ImuSamples, arrivals_ns: Sequence[int]) -> Sequence[Item]: ...
     def finish(self) -> Sequence[Item]: ...
 
 
@@ -147,12 +149,23 @@ class AgentLoop:
         if not self._lockstep:
             self._apply_answers(None)
         items: list[Item] = []
-        for arrival_ns, event in batch:
-            if parts.check is not None:
-                parts.check.on_event(event)
-            items += parts.sequencer.push(event, arrival_ns)
-        parts.metrics.heard({_STREAMS[type(event)] for _, event in batch})
+        heard: set[str] = set()
+        for kind, run in itertools.groupby(batch, lambda timed: type(timed[1])):
+            heard.add(_STREAMS[kind])
+            if kind is ImuSamples:  # many, and one call costs far more than one sample
+                samples, arrivals_ns = _together(run)
+                self._show(samples)
+                items += parts.sequencer.push_imu(samples, arrivals_ns)
+                continue
+            for arrival_ns, event in run:
+                self._show(event)
+                items += parts.sequencer.push(event, arrival_ns)
+        parts.metrics.heard(heard)
         self._take(items)
+
+    def _show(self, event: Event) -> None:
+        if self._parts.check is not None:
+            self._parts.check.on_event(event)
 
     def finish(self) -> bool:
         """End of input: the last scan, then all answers. False when the uplink was stopped meanwhile."""
@@ -185,7 +198,7 @@ class AgentLoop:
         if not samples:
             return
         imu = self._parts.imu
-        poses = imu.add_imu(samples[0] if len(samples) == 1 else _joined(samples))
+        poses = imu.add_imu(ImuSamples.joined(samples))
         if len(poses.stamps_ns):
             self._now_ns = max(self._now_ns, int(poses.stamps_ns[-1]))
             self._parts.sink.on_poses(poses, imu, self.state)
@@ -280,9 +293,12 @@ class AgentLoop:
         return self._parts.imu.state if connected and not silent else UNANCHORED
 
 
-def _joined(samples: list[ImuSamples]) -> ImuSamples:
-    return ImuSamples(
-        np.concatenate([s.stamps_ns for s in samples]),
-        np.concatenate([s.gyro_radps for s in samples]),
-        np.concatenate([s.accel_mps2 for s in samples]),
-    )
+def _together(run: Iterable[TimedEvent]) -> tuple[ImuSamples, list[int]]:
+    """Messages of the IMU as one, and when each of its samples came."""
+    samples: list[ImuSamples] = []
+    arrivals_ns: list[int] = []
+    for arrival_ns, message in run:
+        assert isinstance(message, ImuSamples)
+        samples.append(message)
+        arrivals_ns += [arrival_ns] * len(message)
+    return ImuSamples.joined(samples), arrivals_ns

@@ -11,6 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent._text_kernels import LONGEST_LINE, tum_lines
 from edge_agent.types import OdometryReply, OdomPoses
 from edge_agent.wire import state_name
 from splitslam import se3
@@ -38,6 +39,7 @@ class Outputs:
         self._folder = folder
         self._made = [path for path in (folder, *folder.parents) if not path.exists()]
         self._files: dict[str, TextIO] = {}
+        self._text = np.empty(0, np.uint8)  # of a call's IMU-rate poses
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name in self._NAMES:
@@ -65,8 +67,10 @@ class Outputs:
         """IMU-rate poses, T_map_odom as known at the time."""
         positions = poses.positions_m @ T_map_odom[:3, :3].T + T_map_odom[:3, 3]
         quats = rotate_quats(se3.quat_from_matrix(T_map_odom[:3, :3]), poses.quats_xyzw)
-        rows = zip(poses.stamps_ns.tolist(), positions.tolist(), quats.tolist(), strict=True)
-        self._files["imu.tum"].writelines(tum_line(*row) for row in rows)
+        if len(self._text) < LONGEST_LINE * len(quats):
+            self._text = np.empty(LONGEST_LINE * len(quats), np.uint8)
+        size = tum_lines(poses.stamps_ns, positions, quats, self._text)
+        self._files["imu.tum"].write(str(self._text[:size], "ascii"))
 
     def publish(self, report: dict[str, Any], metrics: str = "") -> None:
         """All files at once under their own names, edge.json last: its presence says that the rest is there.

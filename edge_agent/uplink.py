@@ -67,7 +67,10 @@ class Uplink:
         self._dialogue = Dialogue(hello, settings, metrics, spool)
         self._resumes = len(self._dialogue.outbox) > 0
         self._meter = TcpMeter(*split_server(server))
-        self._changed = threading.Condition()  # guards the dialogue and all below
+        lock = threading.RLock()  # guards the dialogue and all below; waking a thread for nothing costs as much as a call
+        self._changed = threading.Condition(lock)  # for callers: an answer, or the end
+        self._to_say = threading.Condition(lock)  # for the stream's sender
+        self._broken = threading.Condition(lock)  # for the supervisor
         self._stream: Stream | None = None
         self._failure: Exception | None = None
         self._closing = False
@@ -113,7 +116,7 @@ class Uplink:
         with self._changed:
             self._raise_failure()
             self._dialogue.keep(frame, time.monotonic(), arrived_s)
-            self._changed.notify_all()
+            self._to_say.notify_all()
 
     def take_answers(self) -> list[Answer]:
         """Answers since the last call, in the order they came; each frame's first answer only."""
@@ -162,13 +165,13 @@ class Uplink:
         with self._changed:
             self._dialogue.set_dropped(dropped)
             if self._dialogue.report_due(time.monotonic()):
-                self._changed.notify_all()
+                self._to_say.notify_all()
 
     def finish(self, last_seq: int) -> pb.Finished | None:
         """Says Bye once every frame is answered and waits for Finished; None when stopped meanwhile."""
         with self._changed:
             self._dialogue.bye = pb.Bye(last_seq=last_seq)
-            self._changed.notify_all()
+            self._to_say.notify_all()
             self._changed.wait_for(lambda: self._dialogue.finished or self._over)
             self._raise_failure()
             return self._dialogue.finished
@@ -177,7 +180,7 @@ class Uplink:
         """Whoever waits goes on at once, and the stream ends."""
         with self._changed:
             self._closing = True
-            self._changed.notify_all()
+            self._tell_all()
 
     def close(self) -> None:
         """Ends the stream, without Bye unless `finish` was called: the session can be resumed."""
@@ -217,7 +220,7 @@ class Uplink:
         except Exception as error:  # a defect: whoever waits must hear of it
             with self._changed:
                 self._failure = error
-                self._changed.notify_all()
+                self._tell_all()
 
     def _keep_connected(self) -> None:
         s = self._settings
@@ -250,7 +253,7 @@ class Uplink:
                 if state.other_replica or not state.welcomed:
                     self._dialogue.hello.attempt += 1
                 delay_s = max(backoff.next_s(), jittered(state.retry_after_s))
-                self._changed.wait_for(lambda: self._closing, timeout=delay_s)
+                self._broken.wait_for(lambda: self._closing, timeout=delay_s)
 
     def _one_stream(self, welcome_within_s: float) -> StreamState:
         """Runs one stream to its end."""
@@ -264,12 +267,13 @@ class Uplink:
                 if (left_s := deadline_s - time.monotonic()) <= 0:
                     state.ended, state.other_replica = ending, True
                     break
-                self._changed.wait(left_s)
+                # a frame that is sent meanwhile may set a nearer deadline, but none before this
+                self._broken.wait(min(left_s, self._settings.answer_timeout_s))
             if not state.other_replica:  # a link that broke: the replica may still hold the session in memory
                 self._dialogue.replica = stream.replica
             self._metrics.connected.set(0)
             self._stream = None  # from here on its callbacks find themselves outdated
-            self._changed.notify_all()
+            self._tell_all()
         self._meter.discover()
         stream.close()
         return state
@@ -277,17 +281,24 @@ class Uplink:
     def _fail(self, text: str) -> None:
         kind = SessionOverError if self._dialogue.over else InputError
         self._failure = kind(f"server {self._server}: {text}")
-        self._changed.notify_all()
+        self._tell_all()
+
+    def _tell_all(self) -> None:
+        for waiting in (self._changed, self._to_say, self._broken):
+            waiting.notify_all()
 
     # --- called by the stream's threads -----------------------------------------------------------------------
 
     def _next_request(self, stream: Stream) -> pb.StreamRequest | None:
         with self._changed:
             while self._stream is stream:
-                if (request := self._dialogue.next_request(time.monotonic())) is not None:
-                    self._changed.notify_all()  # the supervisor may have a nearer deadline now
+                kept = len(self._dialogue.outbox)
+                request = self._dialogue.next_request(time.monotonic())
+                if len(self._dialogue.outbox) < kept:  # a frame that cannot be read any more: nobody need wait for it
+                    self._changed.notify_all()
+                if request is not None:
                     return request
-                self._changed.wait(self._dialogue.pause_s)
+                self._to_say.wait(self._dialogue.pause_s)
             return None
 
     def _on_response(self, stream: Stream, response: pb.StreamResponse) -> None:
@@ -296,13 +307,18 @@ class Uplink:
         with self._changed:
             if self._stream is not stream:
                 return
-            self._dialogue.receive(response, time.monotonic())
-            if self._dialogue.failure is not None:
-                self._fail(self._dialogue.failure)
+            dialogue, now_s = self._dialogue, time.monotonic()
+            dialogue.receive(response, now_s)
+            if dialogue.failure is not None:
+                self._fail(dialogue.failure)
             self._changed.notify_all()
+            if dialogue.may_say(now_s):
+                self._to_say.notify_all()
+            if dialogue.stream.ended is not None or dialogue.finished is not None:
+                self._broken.notify_all()
 
     def _on_end(self, stream: Stream, ending: Ending) -> None:
         with self._changed:
             if self._stream is stream and self._dialogue.stream.ended is None:
                 self._dialogue.stream.ended = ending
-                self._changed.notify_all()
+                self._broken.notify_all()

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent._text_kernels import LONGEST_LINE, tum_lines
 from edge_agent.imu import make_imu_node
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.ring import Ring
@@ -17,7 +18,7 @@ from edge_agent.odometry.scan_matching import Outcome, Placement, ScanMatching
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
-from edge_agent.types import OdometryReply
+from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import codec
 from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
@@ -46,7 +47,7 @@ def warm_up(
     for k in range(_SCANS):
         scan = _room(k * _SCAN_NS, robot, beam_elevations_rad)
         if robot.imu is not None:
-            node.add_imu(_still(k * _SCAN_NS, robot))
+            _as_text(node.add_imu(_still(k * _SCAN_NS, robot)))
         if robot.wheels is not None:
             node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))
@@ -56,6 +57,11 @@ def warm_up(
         node.on_odometry(reply)
         if odometry is not None and frame.features is not None:
             _match(odometry, frame.features, reply)
+
+
+def _as_text(poses: OdomPoses) -> None:
+    text = np.empty(LONGEST_LINE * len(poses.stamps_ns), np.uint8)
+    tum_lines(poses.stamps_ns, poses.positions_m, poses.quats_xyzw, text)
 
 
 def _match(settings: OdometrySettings, frame: FeatureFrame, reply: OdometryReply) -> None:

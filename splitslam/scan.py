@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,17 @@ class ImuSamples:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    @staticmethod
+    def joined(runs: Sequence[ImuSamples]) -> ImuSamples:
+        """Runs that follow each other as one; as they come, when they do not."""
+        if len(runs) == 1:
+            return runs[0]
+        return ImuSamples(
+            np.concatenate([run.stamps_ns for run in runs]),
+            np.concatenate([run.gyro_radps for run in runs]),
+            np.concatenate([run.accel_mps2 for run in runs]),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -91,6 +91,47 @@ def window(own_ns, values, span, stamps_ns, gyro, accel):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
+def roughness(values, count, out):
+    """out (6,) = mean square by which the mean of `count` samples differs from the mean of its two neighbours.
+
+    values (N, 6), N at least 3 * count; the newest whole blocks of it.
+    """
+    blocks = len(values) // count
+    row = len(values) - blocks * count
+    means = np.zeros((3, 6))
+    out[:] = 0.0
+    for block in range(blocks):
+        newest = means[block % 3]
+        newest[:] = 0.0
+        for _ in range(count):
+            for c in range(6):
+                newest[c] += values[row, c] / count
+            row += 1
+        if block >= 2:
+            before, middle = means[(block - 2) % 3], means[(block - 1) % 3]
+            for c in range(6):
+                rough = middle[c] - 0.5 * (before[c] + newest[c])
+                out[c] += rough * rough / (blocks - 2)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def quietest(values, period_s, longest_s, densities):
+    """densities (2,) = white noise of gyro and accel by the block length that says least: ImuBuffer.noise_densities.
+
+    values (N, 6), N >= 12, gyro first, one each period_s. Blocks of 1, 2, 4, ... samples up to longest_s.
+    """
+    rough = np.empty(6)
+    densities[:] = math.inf
+    count = 1
+    while count == 1 or (count * period_s <= longest_s and len(values) >= 12 * count):
+        roughness(values, count, rough)
+        for sensor in range(2):
+            mean = (rough[3 * sensor] + rough[3 * sensor + 1] + rough[3 * sensor + 2]) / 3.0
+            densities[sensor] = min(densities[sensor], math.sqrt(mean / 1.5 * period_s * count))
+        count *= 2
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
 def place(states, out):
     """out (M, 12) row-major 3x4 of the poses in states (M, 15)."""
     for k in range(len(states)):

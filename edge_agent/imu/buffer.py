@@ -133,13 +133,6 @@ class ImuBuffer:
         recent = self._recent[max(0, self._recent_end - _NOISE_SAMPLES) : self._recent_end]
         if len(recent) < 12:
             return _UNKNOWN_GYRO_RADPS * period_s**0.5, _UNKNOWN_ACCEL_MPS2 * period_s**0.5
-        quietest = np.full(2, np.inf)
-        count = 1
-        while count == 1 or (count * period_s <= _LONGEST_BLOCK_S and len(recent) >= 12 * count):
-            whole = len(recent) // count * count
-            means = recent[-whole:].reshape(-1, count, 6).mean(axis=1)
-            rough = means[1:-1] - 0.5 * (means[:-2] + means[2:])
-            variance = np.mean(rough**2, axis=0) / 1.5 * period_s * count
-            quietest = np.minimum(quietest, [variance[:3].mean(), variance[3:].mean()])
-            count *= 2
-        return float(np.sqrt(quietest[0])), float(np.sqrt(quietest[1]))
+        densities = np.empty(2)
+        kernels.quietest(recent, period_s, _LONGEST_BLOCK_S, densities)
+        return float(densities[0]), float(densities[1])

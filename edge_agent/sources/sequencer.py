@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,16 @@ class Sequencer:
             return []
         return self._push_scan(event, arrival_ns)
 
+    def push_imu(self, samples: ImuSamples, arrivals_ns: Sequence[int]) -> list[Item]:
+        """The same as one `push` for each of the samples, cheaper where time simply goes on in them."""
+        if self._goes_on(samples) and _is_finite(samples):
+            passed = self._imu_clock.admit_run(samples.stamps_ns.tolist(), samples, arrivals_ns)
+            return self._emit(passed)
+        out: list[Item] = []
+        for k, arrival_ns in enumerate(arrivals_ns):
+            out += self._push_imu(_slice(samples, k, k + 1), arrival_ns)
+        return out
+
     def finish(self) -> list[Item]:
         """End of input: everything that still waits."""
         out: list[Item] = [*self._wheel_clock.flush()]
@@ -86,7 +97,7 @@ class Sequencer:
 
     def _push_imu(self, samples: ImuSamples, arrival_ns: int | None) -> list[Item]:
         out: list[Item] = []
-        if not (np.isfinite(samples.gyro_radps).all() and np.isfinite(samples.accel_mps2).all()):
+        if not _is_finite(samples):
             finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
             self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
             samples = _take(samples, finite)
@@ -97,12 +108,13 @@ class Sequencer:
 
     def _runs(self, samples: ImuSamples) -> list[ImuSamples]:
         """The chunk as it is when time simply goes on in it, else its samples one by one."""
-        if len(samples) == 1:
-            return [samples]
-        step_ns = np.diff(samples.stamps_ns)
-        if self._imu_clock.follows(int(samples.stamps_ns[0])) and ((step_ns > 0) & (step_ns <= JUMP_NS)).all():
+        if len(samples) == 1 or self._goes_on(samples):
             return [samples]
         return [_slice(samples, k, k + 1) for k in range(len(samples))]
+
+    def _goes_on(self, samples: ImuSamples) -> bool:
+        step_ns = np.diff(samples.stamps_ns)
+        return self._imu_clock.follows(int(samples.stamps_ns[0])) and bool(((step_ns > 0) & (step_ns <= JUMP_NS)).all())
 
     def _emit(self, samples: ImuSamples) -> list[Item]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
@@ -134,6 +146,10 @@ class Sequencer:
         packet = ScanPacket(scan, tuple(self._fixes), arrival_ns)
         self._fixes.clear()
         return packet
+
+
+def _is_finite(samples: ImuSamples) -> bool:
+    return bool(np.isfinite(samples.gyro_radps).all() and np.isfinite(samples.accel_mps2).all())
 
 
 def _take(samples: ImuSamples, keep: NDArray[np.bool_]) -> ImuSamples:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic
 
@@ -64,6 +65,16 @@ class StreamClock(Generic[T]):
             return self._look_at(message)
         self._held.append(message)
         return self._judge()
+
+    def admit_run(self, stamps_ns: Sequence[int], run: T, arrivals_ns: Sequence[int]) -> T:
+        """`admit` of many messages at once, each of which `follows` the one before. run: all of them."""
+        offset_ns = self._offset_ns
+        self._last_ns = stamps_ns[-1] + offset_ns
+        self._came(
+            (arrival_ns, arrival_ns - stamp_ns - offset_ns)
+            for stamp_ns, arrival_ns in zip(stamps_ns, arrivals_ns, strict=True)
+        )
+        return shifted(run, offset_ns)
 
     def _look_at(self, message: _Message[T]) -> list[T]:
         stamp_ns = message.first_ns + self._offset_ns
@@ -156,10 +167,14 @@ class StreamClock(Generic[T]):
     def _pass(self, message: _Message[T]) -> T:
         self._last_ns = message.last_ns + self._offset_ns
         if (arrival_ns := message.arrival_ns) is not None:
-            self._arrivals.append((arrival_ns, arrival_ns - self._last_ns))
-            while self._arrivals[0][0] < arrival_ns - _LATENCY_NS:
-                self._arrivals.popleft()
+            self._came([(arrival_ns, arrival_ns - self._last_ns)])
         return shifted(message.item, self._offset_ns)
+
+    def _came(self, arrivals: Iterable[tuple[int, int]]) -> None:
+        self._arrivals.extend(arrivals)
+        newest_ns = self._arrivals[-1][0]
+        while self._arrivals[0][0] < newest_ns - _LATENCY_NS:
+            self._arrivals.popleft()
 
     def flush(self) -> list[T]:
         """At the end of input nothing can contradict a held message that is ahead."""

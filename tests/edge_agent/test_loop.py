@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -39,6 +39,9 @@ class Log(list[str]):
 class PassThrough:
     def push(self, event: Event, arrival_ns: int | None = None) -> list[ImuSamples | ScanPacket]:
         return [ScanPacket(event)] if isinstance(event, Scan) else [event]  # type: ignore[list-item]
+
+    def push_imu(self, samples: ImuSamples, arrivals_ns: Sequence[int]) -> list[ImuSamples | ScanPacket]:
+        return [samples]
 
     def finish(self) -> list[ImuSamples | ScanPacket]:
         return []

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_agent import _text_kernels as text_kernels
 from edge_agent.outputs import Outputs, rotate_quats, tum_line
 from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
@@ -54,6 +55,19 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"output.dir .*file/out"):
         Outputs(tmp_path / "file" / "out")
+
+
+def test_many_lines_at_once_say_what_one_line_says():
+    rng = np.random.default_rng(5)
+    stamps_ns = np.concatenate([[0, 5, 1_700_000_000_123_456_789], rng.integers(0, 2**62, 200)])
+    positions_m = rng.normal(size=(203, 3)) * 10.0 ** rng.integers(-11, 6, (203, 3))
+    positions_m[0] = 0.0, -0.0, -1e-12
+    positions_m[1] = 0.9999999999, -9.9999999996, 123456789.0
+    quats_xyzw = rng.normal(size=(203, 4))
+    text = np.empty(text_kernels.LONGEST_LINE * 203, np.uint8)
+    size = text_kernels.tum_lines(stamps_ns, positions_m, quats_xyzw, text)
+    expected = [tum_line(*row) for row in zip(stamps_ns, positions_m, quats_xyzw, strict=True)]
+    assert bytes(text[:size]).decode().splitlines(keepends=True) == expected
 
 
 def test_imu_lines_are_the_odom_poses_moved_by_t_map_odom(tmp_path: Path):

@@ -127,3 +127,25 @@ def test_a_window_has_the_samples_inside_it_and_its_ends_between_them_or_held():
         assert stamps_ns.tolist() == [start_ns, *own_ns[inside].tolist(), end_ns]
         expected = np.stack([np.interp(stamps_ns, own_ns, values[:, c]) for c in range(6)], axis=1)
         np.testing.assert_allclose(np.hstack([gyro, accel]), expected, atol=1e-12)
+
+
+def naive_quietest(values, period_s, longest_s):
+    densities = np.full(2, np.inf)
+    count = 1
+    while count == 1 or (count * period_s <= longest_s and len(values) >= 12 * count):
+        whole = len(values) // count * count
+        means = values[-whole:].reshape(-1, count, 6).mean(axis=1)
+        rough = means[1:-1] - 0.5 * (means[:-2] + means[2:])
+        variance = np.mean(rough**2, axis=0) / 1.5 * period_s * count
+        densities = np.minimum(densities, np.sqrt([variance[:3].mean(), variance[3:].mean()]))
+        count *= 2
+    return densities
+
+
+def test_the_quietest_block_length_equals_its_naive_twin():
+    rng = np.random.default_rng(2)
+    for samples, rate_hz in ((12, 10.0), (53, 100.0), (499, 500.0)):
+        values = rng.normal(size=(samples, 6)) + np.sin(np.arange(samples) * 1.3)[:, None]
+        densities = np.empty(2)
+        kernels.quietest(values, 1.0 / rate_hz, 0.05, densities)
+        np.testing.assert_allclose(densities, naive_quietest(values, 1.0 / rate_hz, 0.05), rtol=1e-12)

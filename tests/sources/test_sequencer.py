@@ -224,3 +224,47 @@ def test_whatever_comes_time_goes_forward_and_nothing_is_lost_silently(steps):
         else:
             uncovered += latest < item.scan.end_ns
     assert uncovered == sequencer.uncovered
+
+
+def one_by_one(out: list) -> list:
+    """`told` with every sample for itself."""
+    return [entry for group in told(out) for entry in (group if isinstance(group, list) else [("scan", group)])]
+
+
+STEPS_MS = st.integers(1, 20) | st.sampled_from([-700, -50, 0, 900, 1_500, 20_000])
+
+
+@given(st.lists(st.tuples(st.lists(st.tuples(STEPS_MS, st.booleans()), min_size=1, max_size=12), st.integers(5, 60))))
+def test_messages_taken_together_are_what_they_are_one_after_the_other(runs):
+    apart, together = with_imu(), with_imu()
+    out: tuple[list, list] = [], []
+    stamp_ms = arrival_ms = 1_000
+    for steps, waited_ms in runs:
+        samples = imu(*(stamp_ms := stamp_ms + step for step, _ in steps))
+        samples.accel_mps2[[bad and stamp_ms % 7 == 0 for _, bad in steps]] = np.inf
+        arrivals_ns = [MS * (arrival_ms + k * waited_ms) for k in range(len(steps))]
+        arrival_ms += len(steps) * waited_ms
+        for k, arrival_ns in enumerate(arrivals_ns):
+            alone = ImuSamples(samples.stamps_ns[[k]], samples.gyro_radps[[k]], samples.accel_mps2[[k]])
+            out[0].extend(apart.push(alone, arrival_ns))
+        out[1].extend(together.push_imu(samples, arrivals_ns))
+        for sequencer, items in zip((apart, together), out, strict=True):
+            items.extend(sequencer.push(scan(stamp_ms, 30), MS * arrival_ms))
+    assert one_by_one(out[1]) == one_by_one(out[0])
+    assert together.dropped == apart.dropped
+    assert together.times.steps == apart.times.steps
+
+
+def test_a_step_of_the_clock_is_put_right_by_the_same_amount_when_messages_are_taken_together():
+    late_ms = np.random.default_rng(3).integers(1, 30, 200)
+    stamps_ms = np.arange(200) * 20
+    arrivals_ns = [int(ns) for ns in MS * (stamps_ms + late_ms)]
+    stamps_ms[100:] -= 5_000
+    apart, together = with_imu(), with_imu()
+    out: tuple[list, list] = [], []
+    for part in np.array_split(np.arange(200), 20):
+        out[1].extend(together.push_imu(imu(*stamps_ms[part]), [arrivals_ns[k] for k in part]))
+        for k in part:
+            out[0].extend(apart.push(imu(stamps_ms[k]), arrivals_ns[k]))
+    assert one_by_one(out[1]) == one_by_one(out[0])
+    assert together.times.steps == apart.times.steps == {"imu": 1}
