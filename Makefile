@@ -14,7 +14,7 @@ FPGA := .venv-fpga/.set-up
 FPGA_TOOLS := g++ make perl
 WORKERS ?= 2
 
-.PHONY: help setup bench-setup fpga-setup demo test fpga-test fpga-report fuzz sbom chaos check format proto proto-baseline lock clean
+.PHONY: help setup bench-setup fpga-setup demo test bounds fpga-test fpga-report fuzz sbom chaos check format proto proto-baseline lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
@@ -61,6 +61,9 @@ demo: setup ## a made drive through both programs: trajectory, map, report.html
 test: setup ## every test, the overlay's too; the recordings in ../shared/data or $SPLITSLAM_DATA
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 	@$(MAKE) --no-print-directory fpga-test
+
+bounds: setup ## what tests/performance holds the kernels' speed to, taken anew: after a change on purpose, on a quiet machine
+	@$(BIN)/python -m tests.performance
 
 fpga-test: fpga-setup ## the overlay's own tests: cores on Verilator, driver, device behind PYNQ
 	@.venv-fpga/bin/python -m pytest fpga_overlay -n $(WORKERS) --dist worksteal

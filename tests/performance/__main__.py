@@ -1,12 +1,13 @@
-"""`python -m tests.performance RECORDING ROBOT`: takes the bounds anew, on a quiet machine, and says what changed."""
+"""`make bounds`: takes the bounds anew, on a quiet machine, and says what changed."""
 
 from __future__ import annotations
 
 import json
-import sys
+import os
 from dataclasses import asdict
 from pathlib import Path
 
+from tests.conftest import ROOT
 from tests.performance.capture import kernel_calls
 from tests.performance.gate import BOUNDS, load_bounds, take_bounds
 from tests.performance.reference import Reference
@@ -14,7 +15,8 @@ from tests.performance.reference import Reference
 
 def main() -> None:
     """Writes bounds.json."""
-    calls = kernel_calls(Path(sys.argv[1]), Path(sys.argv[2]))
+    folder = Path(os.environ.get("SPLITSLAM_DATA") or ROOT.parent / "shared" / "data") / "yard1"
+    calls = kernel_calls(folder / "yard1.bag", folder / "yard1.yaml")
     before = load_bounds() if BOUNDS.exists() else {}
     bounds = take_bounds(calls, Reference())
     shares = {call.name: call.share for call in calls}

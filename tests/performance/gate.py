@@ -1,4 +1,4 @@
-"""Ratios of kernels to the reference, their bounds, and the verdict; `python -m tests.performance` takes new bounds."""
+"""Ratios of kernels to the reference, their bounds, and the verdict; `make bounds` takes new ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ BOUNDS = Path(__file__).with_name("bounds.json")
 # Twice as slow must be seen; another processor, and whatever runs beside it, must not.
 TOLERATED = 1.5
 WORTH_A_BOUND, NEEDS_A_BOUND = 0.02, 0.05  # of all kernels' time: apart, as shares are measured and waver
-_REPEATS, _ATTEMPTS, _TAKEN = 30, 6, 9
+_FEWEST, _MOST, _SPENT_NS = 30, 400, 4_000_000  # repeats; and for how long a short call is repeated
+_ATTEMPTS, _PAUSE_S, _TAKEN = 8, 0.2, 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +67,15 @@ def judge(call: Call, reference: Reference, bound: Bound) -> Verdict:
         verdict = Verdict(call.name, least, call.per_scan, bound)
         if not verdict.red:
             break
+        time.sleep(_PAUSE_S)
     return verdict
 
 
 def ratio(call: Call, reference: Reference) -> float:
     """CPU time of the call in that of the reference: the shortest of each, taken in turns."""
     given = copied(call.arguments)
-    call.kernel(*given)
-    least_ns = reference_ns = 1 << 62
-    for _ in range(_REPEATS):
+    least_ns, reference_ns = cpu_ns(call.kernel, *given), 1 << 62
+    for _ in range(min(max(_SPENT_NS // least_ns, _FEWEST), _MOST)):
         reference_ns = min(reference_ns, cpu_ns(reference))
         _restore(given, call.arguments)
         least_ns = min(least_ns, cpu_ns(call.kernel, *given))

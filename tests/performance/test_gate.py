@@ -13,7 +13,7 @@ from tests.performance.capture import Call, copied, kernel_calls
 from tests.performance.gate import NEEDS_A_BOUND, TOLERATED, Bound, Verdict, judge, load_bounds, ratio
 from tests.performance.reference import Reference
 
-ANEW = "python -m tests.performance ../shared/data/yard1/yard1.bag ../shared/data/yard1/yard1.yaml"
+ANEW = "make bounds"
 BOUNDS = load_bounds()
 # What a scan goes through, by where its kernels are.
 COVERED = {
