@@ -15,8 +15,8 @@ _WIDTH = 100
 _NONE = "-"
 _HERE, _A53 = "this CPU, measured", "A53: predicted, not measured"
 _NOTES = (
-    "Thread CPU time of each scan but the first. Deskew: the Image node, projection included. Edge: motion,",
-    "deskew, features, encoding (the paper: Image and Feature node, the Imu node left out).",
+    "Thread CPU time of each scan but the first. Deskew: the Image node, projection included. Edge:",
+    "motion, deskew, features, encoding (the paper: Image and Feature node, the Imu node left out).",
     f"A53: {A53_FACTOR:g} times this CPU's time, assumed; with FPGA: by the model of fpga_overlay/report/board.py.",
 )
 
