@@ -1,8 +1,9 @@
 """The paper's Map node, one instance = one session, single writer, no threads, no RPC.
 
 frame -> registration against the local map (eq. 3) -> answer -> keyframe -> factor graph: LiDAR odometry, GNSS, loop
-closures -> corrected keyframes, which the next answer tells. Two frames make corrections harmless to what runs: the tracker lives in `local`,
-and T_map_local takes every correction, until the map has bent too much and the local map is built again.
+closures -> corrected keyframes, which the next answer tells. Two frames make corrections harmless to what runs: the
+tracker lives in `local`, and T_map_local takes every correction, until the map has bent too much and the local map is
+built again.
 """
 
 from __future__ import annotations

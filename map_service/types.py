@@ -41,7 +41,7 @@ class CorrectionRecord:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What placing a frame took: thread CPU time, s; of its registration the steps, and how many of the features fitted.
+    """What placing a frame took: thread CPU time, s; its registration's steps, and how many of the features fitted.
 
     features: 0 for a frame that brought none. registered: false for the first frame, which makes the map.
     """
