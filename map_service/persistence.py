@@ -45,13 +45,13 @@ class CommitLog:
         self._outcomes: Counter[tuple[str, str]] = Counter()  # as they were told last
         self.exact = False  # are poses to be stored as they are, however little they have moved?
 
-    def frame(self, answer: MapAnswer, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
-        """Notes an answered frame and the keyframe that its pose is told by."""
+    def frame(self, answer: MapAnswer, T_map_lidar: Array, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
+        """Notes an answered frame, where it is by now, and the keyframe that this is told by."""
         record = FrameRecord(
             answer.seq,
             answer.stamp_ns,
             keyframe,
-            se3.inv(T_map_keyframe) @ answer.T_map_lidar,
+            se3.inv(T_map_keyframe) @ T_map_lidar,
             answer.T_map_lidar,
             int(answer.state),
         )
