@@ -70,7 +70,7 @@ class Outputs:
         if len(self._text) < LONGEST_LINE * len(quats):
             self._text = np.empty(LONGEST_LINE * len(quats), np.uint8)
         size = tum_lines(poses.stamps_ns, positions, quats, self._text)
-        self._files["imu.tum"].write(str(self._text[:size], "ascii"))
+        self._files["imu.tum"].write(self._text[:size].tobytes().decode("ascii"))
 
     def publish(self, report: dict[str, Any], metrics: str = "") -> None:
         """All files at once under their own names, edge.json last: its presence says that the rest is there.

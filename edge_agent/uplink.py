@@ -67,7 +67,9 @@ class Uplink:
         self._dialogue = Dialogue(hello, settings, metrics, spool)
         self._resumes = len(self._dialogue.outbox) > 0
         self._meter = TcpMeter(*split_server(server))
-        lock = threading.RLock()  # guards the dialogue and all below; waking a thread for nothing costs as much as a call
+        lock = (
+            threading.RLock()
+        )  # guards the dialogue and all below; waking a thread for nothing costs as much as a call
         self._changed = threading.Condition(lock)  # for callers: an answer, or the end
         self._to_say = threading.Condition(lock)  # for the stream's sender
         self._broken = threading.Condition(lock)  # for the supervisor

@@ -141,3 +141,9 @@ METRICS_CPU_S = 200e-6
 GROWTH_BY_TIME = 1.1
 SAME_GROUND_OFF_M = 0.05
 NEW_GROUND_OFF_M = 0.3
+
+# The Imu node's filter against GTSAM's graph of all scans since the start: of the doubt both have, and of biases that
+# three seconds hardly tell (prior: 0.1 m/s2, 0.01 rad/s).
+FILTER_OF_SIGMA = 0.5
+FILTER_SIGMA_RATIO = 0.1
+FILTER_GYRO_BIAS_RADPS, FILTER_ACCEL_BIAS_MPS2 = 5e-4, 0.05

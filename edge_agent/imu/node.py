@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from edge_agent.imu import _kernels as kernels
 from edge_agent.imu.buffer import ImuBuffer, ImuWindow
+from edge_agent.imu.filter import MotionFilter
 from edge_agent.imu.gaps import Gaps, carried_on
-from edge_agent.imu.graph import ImuNoise, LocalGraph, NavigationState
 from edge_agent.imu.history import PoseHistory
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.imu.state import ImuNoise, NavigationState
 from edge_agent.imu.wheel_factor import WheelVelocity
 from edge_agent.imu.wheels import WheelAid
 from edge_agent.types import OdometryReply, OdomPoses
@@ -47,14 +48,14 @@ class ImuNode:
         self.gaps = Gaps(robot.imu.rate_hz if robot.imu is not None else 100.0)
         self._rate_imu = np.zeros(3)  # as the last two answers have it, rad/s
         self.wheels = None if robot.wheels is None else WheelAid(robot, settings)
-        self.graph = LocalGraph(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
+        self.filter = MotionFilter(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
         self.T_map_odom = np.eye(4)
         self.state = INITIALISING
         self.covariance = np.eye(6)
         self.resets = 0
         self._worst = np.zeros(2)
         self._anchor: NavigationState | None = None
-        self._started = False  # the graph has its first key
+        self._started = False  # the filter has its first scan
         self._blind = False  # no sample has come: nobody knows where down is
         self._answers = 0
         self._live = np.zeros((1, 15))
@@ -322,21 +323,21 @@ class ImuNode:
             self._hear(reply, T_odom_lidar)
             return
         if (self._blind and self._level_late(reply.stamp_ns)) or not self._started:
-            self._start_graph(reply.stamp_ns, T_server_imu)
+            self._start_filter(reply.stamp_ns, T_server_imu)
         else:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
             wheel = self._wheels_at_scan(window)
             noise = self._noise(anchor.stamp_ns, reply.stamp_ns)
-            self.graph.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
-            turned = anchor.T_odom_imu[:3, :3].T @ self.graph.state.T_odom_imu[:3, :3]
+            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
+            turned = anchor.T_odom_imu[:3, :3].T @ self.filter.state.T_odom_imu[:3, :3]
             self._rate_imu = se3.so3_log(turned) / ((reply.stamp_ns - anchor.stamp_ns) * 1e-9)
-            if self.graph.failed:
+            if self.filter.failed:
                 self.resets += 1
                 self._started = False
                 self._answers = 0
                 self._restart(reply.stamp_ns, anchor, T_server_imu)
         self._answers += 1
-        self._take(self.graph.state)
+        self._take(self.filter.state)
         self._hear(reply, T_odom_lidar)
 
     def _hear(self, reply: OdometryReply, T_odom_lidar: Array) -> None:
@@ -350,7 +351,7 @@ class ImuNode:
     def _wheels_at_scan(self, window: ImuWindow) -> WheelVelocity | None:
         if self.wheels is None:
             return None
-        state = self.graph.state
+        state = self.filter.state
         noise = self._noise(int(window.stamps_ns[0]), int(window.stamps_ns[-1]))
         states = np.empty((len(window.stamps_ns), 15))
         states[0] = _row(state)
@@ -358,11 +359,11 @@ class ImuNode:
         kernels.integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, state.bias, g, states)
         return self.wheels.at_scan(window, states, state.bias, state.velocity_sigma_mps, noise.accel_mps2_rthz)
 
-    def _start_graph(self, stamp_ns: int, T_server_imu: Array) -> None:
+    def _start_filter(self, stamp_ns: int, T_server_imu: Array) -> None:
         anchor = self._anchor
         assert anchor is not None
         state = replace(anchor, stamp_ns=stamp_ns, tilt_sigma_rad=self._tilt_sigma_rad)
-        self.graph.start(state, T_server_imu, max(self._tilt_sigma_rad, _MOVING_TILT_RAD))
+        self.filter.start(state, T_server_imu, max(self._tilt_sigma_rad, _MOVING_TILT_RAD))
         self._started = True
 
     def _restart(self, stamp_ns: int, anchor: NavigationState, T_server_imu: Array) -> None:
@@ -370,7 +371,7 @@ class ImuNode:
         T_odom_imu = self.T_odom_lidar_at(stamp_ns) @ self.T_lidar_imu
         doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
         self._anchor = NavigationState(stamp_ns, T_odom_imu, np.zeros(3), np.zeros(6), *doubt)
-        self._start_graph(stamp_ns, T_server_imu)
+        self._start_filter(stamp_ns, T_server_imu)
 
     def _take(self, state: NavigationState) -> None:
         """Makes `state` the anchor; the output goes on from where it is and closes in on it."""

@@ -13,7 +13,6 @@ class ImuSettings(Model):
     IMU is silent, and for how long the same way.
     """
 
-    reset_keys: int = 100
     prior_bias_accel_mps2: float = 0.1
     prior_bias_gyro_radps: float = 0.01
     prior_velocity_mps: float = 10.0

@@ -5,7 +5,7 @@ own propagation from the last optimised state: turning wheels of a robot that st
 slides, and everything between, contradict it by more than its growing doubt allows, and are left out.
 
 Errors of the speed are alike for about a second (tyres, ground, a camber): the speed is fused as if one second of
-readings were one. The constant part is the graph's `scale` (wheel_factor.py).
+readings were one. The constant part is the filter's `scale` (wheel_factor.py).
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class WheelAid:
     def at_scan(
         self, window: ImuWindow, states: Array, bias: Array, velocity_sigma_mps: float, accel_noise: float
     ) -> WheelVelocity | None:
-        """The velocity at the window's end for the graph; None without readings, or when they slip.
+        """The velocity at the window's end for the filter; None without readings, or when they slip.
 
         states (M, 15): integrated over the window from the last optimised one, whose velocity is known that well.
         The readings of the last fifth of a second are carried to the end by the IMU and averaged, those left out
@@ -146,7 +146,7 @@ class WheelAid:
         variance = readings[:, 4:7].mean(axis=0)[axes]
         alike = _ALIKE_S / max(times_s[-1], 0.02)  # scans whose errors are alike
         square = float(np.mean(readings[:, 1] ** 2))
-        own = variance + (alike * self._wander**2 - self.description.scale**2) * square  # the scale is the graph's
+        own = variance + (alike * self._wander**2 - self.description.scale**2) * square  # the scale is the filter's
         sigmas = np.sqrt(np.where(measured, own, alike * variance))
         unscaled = np.where(measured, mean / (1.0 + self.factors.scale), 0.0)
         return WheelVelocity(axes, unscaled, sigmas, measured, window.gyro_radps[-1].copy())

@@ -17,7 +17,7 @@ from splitslam.registration.doubt import Slip, carried_over
 from splitslam.registration.local_map import LocalMap
 
 Array = NDArray[np.float64]
-_ROOM = 1 << 18  # 60 MB with the corners': twice as many voxels as 80 keyframes of a street make
+_ROOM = 1 << 18  # in an outage 60 MB with the corners': twice as many voxels as 80 keyframes of a street make
 
 
 class Outcome(StrEnum):
@@ -52,11 +52,15 @@ class ScanMatching:
         """
         self._settings, self._ring, self._redeskew = settings, ring, redeskew
         self._registration = Registration(settings.registration)
-        self._local_map = LocalMap(settings.local_map, (max(room // 8, 1), room))
-        self._local_map.clear()  # writes to all of it: an outage does not have to wait for memory
+        self._capacity = max(room // 8, 1), room
+        self._local_map = self._empty_map()
         self._slip = Slip()
         self._last: Placement | None = None
         self._older: list[Keyframe] = []  # not in the map yet, the newest last
+
+    def _empty_map(self) -> LocalMap:
+        """Its memory stays with the system until an outage writes to it, page by page."""
+        return LocalMap(self._settings.local_map, self._capacity)
 
     def start(self, last: Placement) -> None:
         """Begins with a map of the newest keyframes, so that no scan costs much more than another. The next scan
@@ -66,8 +70,8 @@ class ScanMatching:
         self._take_older(self._settings.first_keyframes)
 
     def stop(self) -> None:
-        """Empties the map."""
-        self._local_map.clear()
+        """Lets go of the map."""
+        self._local_map = self._empty_map()
         self._last, self._older = None, []
 
     def place(self, frame: FeatureFrame) -> Placement:

@@ -35,7 +35,7 @@ class Drive:
     accel_bias: tuple[float, float, float] = (0.03, -0.02, 0.02)
 
     def T_odom_imu(self, t: float) -> np.ndarray:
-        u = max(t - self.still_s, 0.0)
+        u = max(t - self.still_s, 0.0) if self.still_s else t  # in motion already before it begins: no step at 0
         distance = self.speed_mps * (u if self.still_s == 0 else u - np.arctan(u))
         heading = 0.05 * distance
         w = self.wobble_rad * (1 - np.exp(-u)) if self.still_s else self.wobble_rad

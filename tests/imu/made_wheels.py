@@ -16,6 +16,7 @@ from splitslam.scan import ImuSamples, WheelSamples
 from tests.imu import made
 
 RATE_HZ = 50.0
+SEED = 9  # with it the IMU alone drifts about as much as in the mean of ten, with some it hardly does by chance
 T_IMU_WHEEL = se3.compose(np.eye(3), np.array([0.0, 0.1, -0.6]))
 
 
@@ -89,7 +90,7 @@ def play(
 
     A blind service carries its pose on by the edge's own prediction, as the registration does.
     """
-    rng, wheel_rng = np.random.default_rng(5), np.random.default_rng(6)  # the same IMU and answers with and without
+    rng, wheel_rng = np.random.default_rng(SEED), np.random.default_rng(SEED + 1)  # the same with wheels and without
     robot, played = node.robot, Played(node)
     stamps = made.START_NS + np.arange(int(seconds * 200)) * 5_000_000
     values = [np.concatenate(drive.imu(max((s - made.START_NS) * 1e-9, 1e-3))) for s in stamps]  # no step at the start

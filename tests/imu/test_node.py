@@ -61,12 +61,6 @@ def test_the_doubt_of_where_down_is_falls_and_stays_honest(drive):
     assert np.mean(np.array(errors[late]) < 3.0 * np.array(sigmas[late])) > 0.95
 
 
-def test_the_graph_is_reset_after_its_keys_and_nothing_is_lost():
-    errors, node = motion_errors(Drive(still_s=2.0), 15.0, reset_keys=20)
-    assert node.graph.key < 20
-    assert np.median(errors[:, 0]) < 0.002
-
-
 def test_the_pose_comes_at_imu_rate_and_never_steps():
     node = make_node(200.0)
     drive = Drive(still_s=2.0)

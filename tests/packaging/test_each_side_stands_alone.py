@@ -34,7 +34,7 @@ EDGE = Side(
     "edge",
     ("edge_agent", "fpga_overlay.golden", "fpga_overlay.driver"),
     "edge",
-    ("map_service", "sqlalchemy", "small_gicp", "scipy", "grpc_health", "grpc_reflection", "matplotlib"),
+    ("map_service", "sqlalchemy", "small_gicp", "scipy", "gtsam", "grpc_health", "grpc_reflection", "matplotlib"),
 )
 SERVER = Side("server", ("map_service",), "server", ("edge_agent", "rosbags", "velodyne_decoder", "matplotlib"))
 SHARED = Side(

@@ -263,8 +263,8 @@ def test_a_step_of_the_clock_is_put_right_by_the_same_amount_when_messages_are_t
     apart, together = with_imu(), with_imu()
     out: tuple[list, list] = [], []
     for part in np.array_split(np.arange(200), 20):
-        out[1].extend(together.push_imu(imu(*stamps_ms[part]), [arrivals_ns[k] for k in part]))
+        out[1].extend(together.push_imu(imu(*stamps_ms[part].tolist()), [arrivals_ns[k] for k in part]))
         for k in part:
-            out[0].extend(apart.push(imu(stamps_ms[k]), arrivals_ns[k]))
+            out[0].extend(apart.push(imu(float(stamps_ms[k])), arrivals_ns[k]))
     assert one_by_one(out[1]) == one_by_one(out[0])
     assert together.times.steps == apart.times.steps == {"imu": 1}

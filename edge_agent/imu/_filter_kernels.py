@@ -1,0 +1,86 @@
+"""Kernels of the Imu node's filter: its covariance over IMU samples, and one measurement after the other.
+
+Rows of the error (N,), N >= 21, as filter.py has it: 0 rotation, 3 position, 6 velocity, 9 bias of gyro, 12 of accel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+FASTMATH = {"contract", "arcp", "nsz"}
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def transition(R, gained_mps, dt, M):
+    """M (N, K) = F M of one step, with the errors of rotation, position and velocity in `odom`, from the left.
+
+    R (3, 3): mean rotation in the step; gained_mps (3,): velocity that the specific force has brought. F is that of
+    Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, section 7.4 (global angular errors).
+    """
+    for c in range(M.shape[1]):
+        turned, slowed = np.empty(3), np.empty(3)
+        for r in range(3):
+            turned[r] = dt * (R[r, 0] * M[9, c] + R[r, 1] * M[10, c] + R[r, 2] * M[11, c])
+            slowed[r] = dt * (R[r, 0] * M[12, c] + R[r, 1] * M[13, c] + R[r, 2] * M[14, c])
+        for r in range(3):
+            i, j = (r + 1) % 3, (r + 2) % 3
+            change = -slowed[r]
+            change -= gained_mps[i] * (M[j, c] - 0.5 * turned[j]) - gained_mps[j] * (M[i, c] - 0.5 * turned[i])
+            M[3 + r, c] += dt * (M[6 + r, c] + 0.5 * change)
+            M[6 + r, c] += change
+        for r in range(3):
+            M[r, c] -= turned[r]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def carry(stamps_ns, states, gravity_mps2, noise, longest_ns, P, error):
+    """Carries error (N, 1) and its covariance P (N, N) over states (M, 15), which were integrated at stamps_ns (M,).
+
+    noise (3,): variances a second of rotation, position and velocity. In steps of up to longest_ns, or of one sample;
+    half of a step's noise comes before it and half after, so that errors of rotation and velocity show in the position.
+    """
+    R, gained = np.empty((3, 3)), np.empty(3)
+    i, last = 0, len(stamps_ns) - 1
+    while i < last:
+        j = i + 1
+        while j < last and stamps_ns[j + 1] - stamps_ns[i] <= longest_ns:
+            j += 1
+        dt = (stamps_ns[j] - stamps_ns[i]) * 1e-9
+        for r in range(3):
+            gained[r] = states[j, 12 + r] - states[i, 12 + r]
+            for c in range(3):
+                R[r, c] = 0.5 * (states[i, 3 * r + c] + states[j, 3 * r + c])
+        gained[2] += gravity_mps2 * dt
+        for half in range(2):
+            for k in range(9):
+                P[k, k] += 0.5 * dt * noise[k // 3]
+            if half == 0:
+                transition(R, gained, dt, P)
+                transition(R, gained, dt, P.T)
+                transition(R, gained, dt, error)
+        i = j
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def measure(H, r, variance, P, change):
+    """Takes rows of a measurement, one after the other: r (K,) = -H change (K, N), each with the same variance.
+
+    change (N,): what is known of the error so far, P (N, N) its covariance. Both are brought up to date.
+    """
+    n = len(change)
+    gain, covariance = np.empty(n), np.empty(n)
+    for k in range(len(r)):
+        spread, missing = variance, -r[k]
+        for i in range(n):
+            covariance[i] = 0.0
+            for j in range(n):
+                covariance[i] += P[i, j] * H[k, j]
+            missing -= H[k, i] * change[i]
+            spread += H[k, i] * covariance[i]
+        for i in range(n):
+            gain[i] = covariance[i] / spread
+            change[i] += gain[i] * missing
+        for i in range(n):
+            for j in range(n):
+                P[i, j] -= gain[i] * covariance[j]
