@@ -3,7 +3,7 @@
     python -m benchmarks.long_session new --minutes 120
     python -m benchmarks.long_session loop --minutes 480
 
-`new`: two hours over new ground: does a scan cost in the second hour what it cost in the first minute, how fast does
+`new`: two hours over new ground: does a scan cost in the second hour what it cost in the first minute, and how fast does
 memory grow? `loop`: eight hours on the same 100 m, two of them parked: keyframes, store and memory must stay what they
 were after the second lap. Frames are made as features of a town (town.py), so they pass no codec and no network.
 """
@@ -58,7 +58,7 @@ _TABLES = {
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """How the session stands after some scans. map_ms: mean CPU time a scan of its own since the last sample, commits
+    """How the session stands after so many scans. map_ms: mean CPU time a scan of its own since the last sample, commits
     composed and written included. largest_ms: of one scan's answer.
     """
 

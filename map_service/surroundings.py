@@ -45,7 +45,7 @@ class Surroundings:
     def follow(
         self, centre_m: Array, local_map: LocalMap, keyframes: Keyframes, corrected: Callable[[], Array]
     ) -> None:
-        """After a scan at centre_m (3,) in `local`. corrected: its keyframes by the graph, (n, 4, 4)."""
+        """After a scan at centre_m (3,) in `local`; corrected: where the graph has all keyframes, (n, 4, 4) in `local`."""
         s = self.settings
         if self._looked_at_m is None:
             self._looked_at_m = centre_m.copy()

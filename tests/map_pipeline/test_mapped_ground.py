@@ -1,4 +1,4 @@
-"""Old ground used again: when a keyframe stands for it, what that does to the graph, memory that follows the area."""
+"""Old ground used again: when a keyframe stands for it, what that does to the graph, and that memory follows the area."""
 
 from __future__ import annotations
 
