@@ -26,6 +26,7 @@ class SessionAccounts:
         self._cpu_ms, self._wall_ms = Series(), Series()
         self._own_cpu_ns = own_cpu_ns
         self._front_cpu_ns = 0
+        self._frame_cpu_ns = self._frame_wall_ns = 0
         self._start_ns: int | None = None
         self._before_ms = float(json.loads(stored).get("cpu_ms", 0.0)) if stored else 0.0
         self._written_s = time.monotonic()
@@ -47,13 +48,18 @@ class SessionAccounts:
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Around everything done for one frame, decoding included: thread CPU and wall time."""
+        """Around what is done for one frame, decoding included: thread CPU and wall time, summed until it is done."""
         if self._start_ns is None:
             self._start_ns = self._front_cpu_ns + self._own_cpu_ns()
         wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
         yield
-        self._cpu_ms.add((time.thread_time_ns() - cpu_ns) * 1e-6)
-        self._wall_ms.add((time.perf_counter_ns() - wall_ns) * 1e-6)
+        self._frame_cpu_ns += time.thread_time_ns() - cpu_ns
+        self._frame_wall_ns += time.perf_counter_ns() - wall_ns
+
+    def frame_done(self) -> None:
+        self._cpu_ms.add(self._frame_cpu_ns * 1e-6)
+        self._wall_ms.add(self._frame_wall_ns * 1e-6)
+        self._frame_cpu_ns = self._frame_wall_ns = 0
 
     def text_if_due(self, pipeline: Pipeline) -> str:
         """JSON for a commit now and then, else "": percentiles of a long session take their time."""

@@ -64,14 +64,15 @@ class LoopCloser:
         s = self.settings
         newest = len(keyframes) - 1
         positions = np.asarray(poses)[:, :3, 3]
+        chain = Chain(poses, keyframes.way_m(), loops, keyframes.branches)
         older = near_candidate(positions, keyframes.stamps_ns(), newest, self.last_used, s)
-        if older is not None:
+        if older is not None and chain.tied_m(older, newest) > s.near_way_m:
             self.last_used = newest
             guess = se3.inv(poses[older]) @ poses[newest]
             self._submit(_Request(seq + s.apply_after_frames, older, newest, False, guess), keyframes, poses)
         place = self._describe(keyframes, poses)
         if place is not None:
-            self._look_alike(seq, place, keyframes, Chain(poses, keyframes.way_m(), loops, keyframes.branches))
+            self._look_alike(seq, place, keyframes, chain)
 
     def _describe(self, keyframes: Keyframes, poses: Sequence[Array]) -> int | None:
         """Describes the newest keyframe that has enough others on either side; None: there is no new one."""
@@ -85,13 +86,16 @@ class LoopCloser:
         return place
 
     def _look_alike(self, seq: int, place: int, keyframes: Keyframes, chain: Chain) -> None:
+        """Submits the place that looks most like this one, if it may be too far off for a guess."""
         s, stamps = self.settings, keyframes.stamps_ns()
+        if not self._astray(chain.way_m[place]):  # nor is any older place
+            return
         old = int(np.searchsorted(stamps, stamps[place] - round(s.min_age_s * 1e9)))
         match = self.places.search(self._surroundings, old)
         if match is None or match.likeness < s.likeness:
             return
         wait_m = min(self._patience_m, s.strong_patience_m if match.likeness > s.strong_likeness else s.patience_m)
-        if chain.way_m[place] < self._looked_m + wait_m or chain.tied_m(match.older, place) < s.known_way_m:
+        if chain.way_m[place] < self._looked_m + wait_m or not self._astray(chain.tied_m(match.older, place)):
             return
         if any((p.request.older, p.request.newer) == (match.older, place) for p in self._pending):
             return
@@ -99,6 +103,10 @@ class LoopCloser:
         older, newer = (se3.compose(se3.level_rotation(_up(chain.poses[k])), np.zeros(3)) for k in (match.older, place))
         guess = se3.inv(older) @ match.T_older_newer @ newer
         self._submit(_Request(seq + s.apply_after_frames, match.older, place, True, guess), keyframes, chain.poses)
+
+    def _astray(self, way_m: float) -> bool:
+        """May the graph be off by more than GICP reaches, after such a way? What is nearer is found from its guess."""
+        return self.gate.usual_drift_m(way_m) > self.settings.near_drift_m
 
     def _submit(self, request: _Request, keyframes: Keyframes, poses: Sequence[Array]) -> None:
         s, r = self.settings, request

@@ -158,11 +158,14 @@ class SessionHost:
         name, start_s = session.request.session_id, time.monotonic()
         try:
             answer = session.apply(frame, poisoned=self._poison.get(name) == frame.seq)
+            assert session.stream is not None
+            self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
+            session.settle()
         except SequenceGapError:
             raise
         except StoreError as error:
             self._store_failed(session, error)
-            if frame.seq > session.log.applied_seq:  # it failed half way through the pipeline, looking for a cloud
+            if not session.settled:  # it failed half way through the pipeline, looking for a cloud
                 self.sessions.drop(name)
             return
         except Exception:
@@ -176,8 +179,6 @@ class SessionHost:
             return
         if self._poison.get(name) == frame.seq:
             del self._poison[name]
-        assert session.stream is not None
-        self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
         self._note(session, frame, answer, time.monotonic() - start_s)
 
     def _note(self, session: Session, frame: pb.Frame, answer: pb.Odometry, seconds: float) -> None:

@@ -107,10 +107,14 @@ class LoopGate:
         s = self.settings
         off = se3.inv(loop.T_older_newer) @ se3.inv(chain.poses[loop.older]) @ chain.poses[loop.newer]
         tied_m = chain.tied_m(loop.older, loop.newer)
-        drift_m = s.drift_floor_m + s.drift_share * tied_m
+        drift_m = self.usual_drift_m(tied_m)
         turn_rad = s.turn_floor_rad + s.turn_per_m * tied_m
         off_m = float(np.linalg.norm(off[:3, 3]))
         return max(off_m / drift_m, se3.angle(off) / turn_rad), drift_m, off_m
+
+    def usual_drift_m(self, way_m: float) -> float:
+        """What the odometry may be off by after a way, and nobody wonders."""
+        return self.settings.drift_floor_m + self.settings.drift_share * way_m
 
     def _limit(self, loop: LoopResult, chain: Chain) -> float:
         """The surprise up to which a loop is believed by itself: less where places repeat themselves."""

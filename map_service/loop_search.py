@@ -76,7 +76,7 @@ def _library() -> Any:
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
-        made = np.asfortranarray(np.random.default_rng(0).uniform(-5.0, 5.0, (2000, 3)).T)
+        made = np.asfortranarray(np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3)).T)
         library.KISSMatcher(library.KISSMatcherConfig(voxel_size=0.5)).match(made, made)
     finally:
         os.sched_setaffinity(0, cores)

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _VERSION = 2
 _READ = (1, 2)  # 1: sessions that a service of 0.1.0 began
-_MOVED = 1e-6
+# m, and rad in entries of the rotation: so far a keyframe has to move to be written again. Each fix moves all a little.
+_MOVED = np.where(np.arange(16).reshape(4, 4) % 4 == 3, 1e-3, 1e-4)
+_MOVED_AT_LAST = 1e-3  # share of that, once the session has ended
 
 
 class CommitLog:
@@ -41,14 +43,15 @@ class CommitLog:
         self._stored = Poses()  # of keyframes, as the store has them
         self._first_ns = 0
         self._outcomes: Counter[tuple[str, str]] = Counter()  # as they were told last
+        self.exact = False  # are poses to be stored as they are, however little they have moved?
 
-    def frame(self, answer: MapAnswer, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
-        """Notes an answered frame and the keyframe that its pose is told by."""
+    def frame(self, answer: MapAnswer, T_map_lidar: Array, keyframe: int, T_map_keyframe: Array) -> FrameRecord:
+        """Notes an answered frame, where it is by now, and the keyframe that this is told by."""
         record = FrameRecord(
             answer.seq,
             answer.stamp_ns,
             keyframe,
-            se3.inv(T_map_keyframe) @ answer.T_map_lidar,
+            se3.inv(T_map_keyframe) @ T_map_lidar,
             answer.T_map_lidar,
             int(answer.state),
         )
@@ -82,7 +85,8 @@ class CommitLog:
     ) -> Commit:
         """Hands over everything new and starts again; `places` are the new ones, `outcomes` counts since the start."""
         stored, now = self._stored.matrices, graph.poses.matrices
-        indices = np.flatnonzero(np.abs(stored - now).max(axis=(1, 2)) > _MOVED)
+        limit = _MOVED * (_MOVED_AT_LAST if self.exact else 1.0)
+        indices = np.flatnonzero((np.abs(stored - now) > limit).any(axis=(1, 2)))
         moved = [(int(i), now[i].copy()) for i in indices]
         stored[indices] = now[indices]
         last_seq = self._frames[-1].seq if self._frames else self.last_seq

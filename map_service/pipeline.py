@@ -1,15 +1,16 @@
 """The paper's Map node, one instance = one session, single writer, no threads, no RPC.
 
-frame -> registration against the local map (eq. 3) -> keyframe -> factor graph: LiDAR odometry, GNSS, loop closures
--> corrected keyframes -> answer. Two frames make corrections harmless to what runs: the tracker lives in `local`,
-and T_map_local takes every correction, until the map has bent too much and the local map is built again.
+frame -> registration against the local map (eq. 3) -> answer -> keyframe -> factor graph: LiDAR odometry, GNSS, loop
+closures -> corrected keyframes, which the next answer tells. Two frames make corrections harmless to what runs: the
+tracker lives in `local`, and T_map_local takes every correction, until the map has bent too much and the local map is
+built again.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,19 +19,19 @@ from map_service import persistence
 from map_service.closing import LoopCloser
 from map_service.clouds import CloudsAwayError, Fetch
 from map_service.drift import MapDrift
-from map_service.gnss import GnssGate, Place
+from map_service.fixes import FixPlacer, Passage
+from map_service.gnss import GnssGate
 from map_service.graph import PoseGraph
 from map_service.ground import MappedGround
 from map_service.keyframes import Keyframes
 from map_service.levelling import Leveller
 from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
-from map_service.pipeline_statistics import PipelineStatistics, effort, outcomes
+from map_service.pipeline_statistics import Moment, PipelineStatistics, effort, outcomes
 from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
 from map_service.surroundings import Surroundings
 from map_service.tracker import Track, Tracker
-from map_service.tracker_state import TrackerState
-from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot, State
+from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
 from map_service.wide_search import Fit
 from splitslam import se3
 from splitslam.features import FeatureFrame
@@ -38,6 +39,17 @@ from splitslam.robot import Robot
 from splitslam.scan import GnssFix
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Open:
+    """A frame that was answered and is not yet in the map. stages: when it began, was registered, was answered."""
+
+    frame: FeatureFrame
+    fixes: Sequence[GnssFix]
+    passage: Passage
+    answer: MapAnswer
+    stages: tuple[Moment, Moment, Moment]
 
 
 class MapPipeline:
@@ -56,6 +68,9 @@ class MapPipeline:
         self.graph = PoseGraph(settings.graph)
         self.keyframes = Keyframes()
         self.gnss = None if "gnss" in disable or robot.gnss is None else GnssGate(settings.gnss)
+        self._placer: FixPlacer | None = None
+        if self.gnss is not None and robot.gnss is not None:
+            self._placer = FixPlacer(self.gnss, robot.gnss.t_lidar_antenna_m, settings.gnss.spacing_m)
         self.leveller = Leveller(settings.level)
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
         self.drift = MapDrift(self.graph.drifts)
@@ -66,6 +81,8 @@ class MapPipeline:
         self.T_map_odom = np.eye(4)
         self.found = False  # has the robot been lost, and found again, since the last keyframe?
         self.surroundings = Surroundings(settings.tracker.local_map)
+        self._correction: CorrectionRecord | None = None  # that the next answer tells
+        self._open: _Open | None = None
         self.frames: list[FrameRecord] = []  # since the start or the restart, but for what the store has
         self.mapped = 0
         self.stats = PipelineStatistics()
@@ -73,34 +90,62 @@ class MapPipeline:
 
     def process(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:
         """Maps one frame; frames come once and in order."""
+        answer = self.answer(frame, fixes)
+        self.settle()
+        return answer
+
+    def answer(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:
+        """Where the robot is. What the frame means for the map is left to `settle`, which is due before the next one.
+
+        What that corrects is told with the next answer.
+        """
+        self.settle()
         started = time.perf_counter(), time.thread_time()
-        before, T_map_local = self.tracker.state, self.T_map_local  # a rebuild will rename `local`
+        before = self.tracker.state
         track = self.tracker.process(frame)
         registered = time.perf_counter(), time.thread_time()
-        if track.first_again is not None:
-            self.keyframes.replace_first(*track.first_again)
-            self.log.keyframe(self.keyframes[0], self.graph.poses[0])
-            self.fill_local_map()  # with what is kept of its points, so that they can be taken out again
         if before is not None and (r := track.registration) is not None and r.features:
             moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
             self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
             self._map_covariance = self.drift.at(track.T_local_lidar, r.keyframes, self.keyframes.T_local)
             self._registered_covariance = r.covariance
-        found = None if track.T_found_carried is None else self._found(track, track.T_found_carried)
+        if track.T_found_carried is not None:
+            self._correction = self._found(track, track.T_found_carried)
         keyframe = track.keyframe and not self._on_mapped_ground(frame, track)
-        if keyframe:
-            self._add_keyframe(frame, track)
-        cause = self._level(frame) if keyframe else None
-        cause = self._add_fixes(frame, fixes, track, before, T_map_local) or cause
-        cause = self._apply_loops(frame.seq) or cause
-        correction = self._correct(cause) if cause else None
-        answer = self._answer(frame, track, keyframe, found or correction, started, registered)
-        self.frames.append(self.log.frame(answer, self.ground.reference, self.graph.poses[self.ground.reference]))
-        self.mapped += 1
-        state = self.tracker.state
-        assert state is not None
-        self.surroundings.follow(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes, self._corrected)
+        passage = Passage(before, track, frame.stamp_ns, self.T_map_local, self.T_map_odom)
+        answer = self._answer(frame, track, keyframe, started, registered)
+        stages = started, registered, (time.perf_counter(), time.thread_time())
+        self._open = _Open(frame, fixes, passage, answer, stages)
         return answer
+
+    def settle(self) -> float | None:
+        """Takes the frame that was answered last into the map; thread CPU time of the graph's part of it, s.
+
+        None: there is nothing to do.
+        """
+        if self._open is None:
+            return None
+        done, self._open = self._open, None
+        frame, answer, passage, track = done.frame, done.answer, done.passage, done.passage.track
+        began = time.perf_counter(), time.thread_time()
+        if track.first_again is not None:
+            self.keyframes.replace_first(*track.first_again)
+            self.log.keyframe(self.keyframes[0], self.graph.poses[0])
+            self.fill_local_map()  # with what is kept of its points, so that they can be taken out again
+        if answer.keyframe:
+            self._add_keyframe(frame, track)
+        cause = self._level(frame) if answer.keyframe else None
+        cause = self._add_fixes(done.fixes, passage) or cause
+        cause = self._apply_loops(frame.seq) or cause
+        if cause:
+            self._correction = self._correct(cause)
+        state, reference = self.tracker.state, self.ground.reference
+        assert state is not None
+        T_map_lidar = self.T_map_local @ state.T_local_lidar
+        self.frames.append(self.log.frame(answer, T_map_lidar, reference, self.graph.poses[reference]))
+        self.mapped += 1
+        self.surroundings.follow(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes, self._corrected)
+        return self.stats.frame(track, *done.stages, began, (time.perf_counter(), time.thread_time()))
 
     def _corrected(self) -> Array:
         """(n, 4, 4): the keyframes in `local`, where the graph has them."""
@@ -204,49 +249,12 @@ class MapPipeline:
         self.stats.gravity_factors += 1
         return Cause.REGISTRATION
 
-    def _add_fixes(
-        self,
-        frame: FeatureFrame,
-        fixes: Sequence[GnssFix],
-        track: Track,
-        before: TrackerState | None,
-        T_map_local: Array,
-    ) -> Cause | None:
-        """T_map_local: that of `before` and `track`."""
-        if self.gnss is None or self.robot.gnss is None:
+    def _add_fixes(self, fixes: Sequence[GnssFix], passage: Passage) -> Cause | None:
+        if self._placer is None:
             return None
-        if before is None:
-            self.gnss.reject("early", len(fixes))
-            return None
-        if track.state in (State.LOST, State.LOCALISING) or track.T_found_carried is not None:
-            self.gnss.reject("lost", len(fixes))
-            return None
-        antenna = np.asarray(self.robot.gnss.t_lidar_antenna_m, float)
-        reference = self.ground.reference
-        T_keyframe_map, T_odom_map = se3.inv(self.graph.poses[reference]), se3.inv(self.T_map_odom)
-        added = False
-        for fix in fixes:
-            ratio = (fix.stamp_ns - before.stamp_ns) / (frame.stamp_ns - before.stamp_ns)
-            if not -2.0 <= ratio <= 3.0:  # further off than the motion of one scan can carry a pose
-                self.gnss.reject("late")
-                continue
-            T_map_lidar = T_map_local @ se3.interpolate(before.T_local_lidar, track.T_local_lidar, ratio)
-            antenna_map = _at(T_map_lidar, antenna)
-            in_keyframe, in_odom = _at(T_keyframe_map, antenna_map), _at(T_odom_map, antenna_map)
-            for measurement in self.gnss.offer(fix, Place(reference, in_keyframe, in_odom, self.T_map_odom)):
-                if reference != len(self.keyframes) - 1 and self._fixed_before(measurement.fix.keyframe):
-                    self.gnss.reject("spacing")
-                    continue
-                self.graph.add_gnss(measurement)
-                self.stats.gnss_factors += 1
-                added = True
+        added = self._placer.add(fixes, passage, self.graph, self.ground.reference)
+        self.stats.gnss_factors += added
         return Cause.GNSS if added else None
-
-    def _fixed_before(self, keyframe: int) -> bool:
-        """Does the ground around a keyframe have its fix? Else old ground collects them for as long as one stays."""
-        fixed = self.graph.poses.positions_m[sorted(self.graph.fixed)]
-        away_m = np.linalg.norm(fixed - self.graph.poses[keyframe][:3, 3], axis=1)
-        return bool((away_m < self.settings.gnss.spacing_m).any())
 
     def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
         if self.closer is None or not self.closer.has_due(seq, everything):
@@ -309,23 +317,14 @@ class MapPipeline:
     # --- answers ----------------------------------------------------------------------------------------------
 
     def _answer(
-        self,
-        frame: FeatureFrame,
-        track: Track,
-        keyframe: bool,
-        correction: CorrectionRecord | None,
-        started: tuple[float, float],
-        registered: tuple[float, float],
+        self, frame: FeatureFrame, track: Track, keyframe: bool, started: Moment, registered: Moment
     ) -> MapAnswer:
-        ended = time.perf_counter(), time.thread_time()
-        state = self.tracker.state  # a rebuild may have moved the tracker
-        assert state is not None
-        r = track.registration
-        self.stats.frame(track, started, registered, ended)
+        r, correction = track.registration, self._correction
+        self._correction = None
         return MapAnswer(
             seq=frame.seq,
             stamp_ns=frame.stamp_ns,
-            T_map_lidar=self.T_map_local @ state.T_local_lidar,
+            T_map_lidar=self.T_map_local @ track.T_local_lidar,
             T_map_odom=self.T_map_odom,
             covariance=self._covariance(track),
             state=track.state,
@@ -333,22 +332,25 @@ class MapPipeline:
             correction=correction,
             keyframe=keyframe,
             registration_ms=(registered[0] - started[0]) * 1e3,
-            graph_ms=(ended[0] - registered[0]) * 1e3,
-            effort=effort(track, registered[1] - started[1], ended[1] - registered[1]),
+            effort=effort(track, registered[1] - started[1]),
         )
 
     def finish(self) -> None:
         """End of the session: loops still under verification are waited for and applied."""
+        self.settle()
         if self.graph.poses and (cause := self._apply_loops(0, everything=True)):
             self._correct(cause)
+        self.log.exact = True
 
     def trajectory(self) -> list[tuple[int, int, Array]]:
         """(seq, stamp_ns, T_map_lidar) of the frames that are here and not in the store, by the graph of now."""
+        self.settle()
         poses = self.graph.poses
         return [(f.seq, f.stamp_ns, poses[f.keyframe] @ f.T_keyframe_lidar) for f in self.frames]
 
     def statistics(self) -> dict:
         """Counts and times for reports and metrics (JSON-ready)."""
+        self.settle()
         rejected = {} if self.gnss is None else dict(self.gnss.rejected)
         loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
         report = self.stats.report(self.mapped, len(self.keyframes), rejected, loops_rejected)
@@ -365,6 +367,7 @@ class MapPipeline:
 
     def take_commit(self) -> Commit:
         """Everything since the previous commit."""
+        self.settle()
         places = [] if self.closer is None else self.closer.take_places()
         return self.log.take(self.graph, persistence.dump(self), places, outcomes(self))
 
@@ -388,7 +391,3 @@ class MapPipeline:
         pipeline = cls(robot, settings, verifier, disable, deskew)
         persistence.load(pipeline, snapshot)
         return pipeline
-
-
-def _at(T: Array, point: Array) -> Array:
-    return T[:3, :3] @ point + T[:3, 3]

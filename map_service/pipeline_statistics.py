@@ -12,6 +12,7 @@ from map_service.types import CorrectionRecord, Effort
 if TYPE_CHECKING:
     from map_service.pipeline import MapPipeline
 
+Moment = tuple[float, float]  # wall and thread CPU time, s
 STAGES = ("registration", "graph", "total")
 
 
@@ -35,15 +36,22 @@ class PipelineStatistics:
         self.corrections[cause] = self.corrections.get(cause, 0) + 1
         self.largest_correction_m = max(self.largest_correction_m, record.translation_m)
 
-    def frame(self, track: Track, started, registered, ended) -> None:
-        """Adds the times (wall, thread CPU; s) of one frame's stages."""
+    def frame(
+        self, track: Track, started: Moment, registered: Moment, answered: Moment, began: Moment, ended: Moment
+    ) -> float:
+        """Adds one frame's stages: registration, and the graph's from there to the answer and from `began` to `ended`.
+
+        Returns the graph's thread CPU time, s.
+        """
         for series, i in ((self._wall_ms, 0), (self._cpu_ms, 1)):
             series["registration"].add((registered[i] - started[i]) * 1e3)
-            series["graph"].add((ended[i] - registered[i]) * 1e3)
-            series["total"].add((ended[i] - started[i]) * 1e3)
+            graph_s = answered[i] - registered[i] + ended[i] - began[i]
+            series["graph"].add(graph_s * 1e3)
+            series["total"].add((registered[i] - started[i] + graph_s) * 1e3)
         if track.registration is not None:
             self.iterations += track.registration.iterations
             self.degenerate_frames += bool(track.registration.features and len(track.registration.degenerate_axes))
+        return answered[1] - registered[1] + ended[1] - began[1]
 
     def report(self, mapped: int, keyframes: int, gnss_rejected: dict, loops_rejected: dict) -> dict:
         """JSON-ready."""
@@ -65,12 +73,12 @@ class PipelineStatistics:
         }
 
 
-def effort(track: Track, registration_s: float, graph_s: float) -> Effort:
-    """What a frame took, for metrics."""
+def effort(track: Track, registration_s: float) -> Effort:
+    """What placing a frame took, for metrics."""
     r = track.registration
     if r is None:
-        return Effort(registration_s, graph_s)
-    return Effort(registration_s, graph_s, True, r.iterations, r.inliers, r.features)
+        return Effort(registration_s)
+    return Effort(registration_s, True, r.iterations, r.inliers, r.features)
 
 
 def outcomes(pipeline: MapPipeline) -> Counter[tuple[str, str]]:

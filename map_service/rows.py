@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, delete, insert, update
+from sqlalchemy import BigInteger, Connection, Delete, Table, bindparam, delete, insert, update
 
 from map_service import schema
 from map_service.types import Commit
@@ -15,6 +15,40 @@ from splitslam.errors import DataError
 _POSE_BYTES = 7 * 8
 _FAR = 1e12
 _FRAME_ROW_BYTES = 3 * _POSE_BYTES + 40
+
+
+def _delete(table: Table) -> Delete:
+    """Of a session `key`, the keyframes `indices`."""
+    return delete(table).where(
+        table.c.session == bindparam("key"), table.c.keyframe.in_(bindparam("indices", expanding=True))
+    )
+
+
+# Statements are made once: to make one costs more than to run it.
+_INSERTS = [
+    insert(table)
+    for table in (schema.frames, schema.keyframes, schema.clouds, schema.factors, schema.places, schema.holes)
+]
+_DELETE_CLOUDS, _DELETE_KEYFRAMES, _DELETE_PLACES = map(_delete, (schema.clouds, schema.keyframes, schema.places))
+_COUNT_KEYFRAMES = (
+    update(schema.sessions)
+    .where(schema.sessions.c.id == bindparam("key"))
+    .values(keyframes=schema.sessions.c.keyframes + bindparam("new", type_=BigInteger))
+)
+_PLACE_FRAME = (
+    update(schema.frames)
+    .where(
+        schema.frames.c.session == bindparam("key"),
+        schema.frames.c.seq == bindparam("number"),
+        schema.frames.c.rejected == "",
+    )
+    .values(pose_keyframe_lidar=bindparam("pose"))
+)
+_MOVE_KEYFRAME = (
+    update(schema.keyframes)
+    .where(schema.keyframes.c.session == bindparam("key"), schema.keyframes.c.keyframe == bindparam("number"))
+    .values(pose_map_lidar=bindparam("pose"))
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,41 +141,22 @@ def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
     if new_keyframes:
         _make_room(connection, key, list(new_keyframes))
     if place_rows:  # after one that is missing, those that a service has described again
-        t = schema.places
-        connection.execute(delete(t).where(t.c.session == key, t.c.keyframe.in_([k for k, _ in commit.places])))
-    for table, rows in (
-        (schema.frames, frame_rows),
-        (schema.keyframes, keyframe_rows),
-        (schema.clouds, cloud_rows),
-        (schema.factors, factor_rows),
-        (schema.places, place_rows),
-        (schema.holes, hole_rows),
+        connection.execute(_DELETE_PLACES, {"key": key, "indices": [k for k, _ in commit.places]})
+    for statement, rows in zip(
+        _INSERTS, (frame_rows, keyframe_rows, cloud_rows, factor_rows, place_rows, hole_rows), strict=True
     ):
         if rows:
-            connection.execute(insert(table), rows)
+            connection.execute(statement, rows)
     if commit.frames_again:
-        t = schema.frames
-        connection.execute(
-            update(t)
-            .where(t.c.session == key, t.c.seq == bindparam("number"), t.c.rejected == "")
-            .values(pose_keyframe_lidar=bindparam("pose")),
-            [{"number": seq, "pose": pack_pose(T)} for seq, T in commit.frames_again],
-        )
+        again = [{"key": key, "number": seq, "pose": pack_pose(T)} for seq, T in commit.frames_again]
+        connection.execute(_PLACE_FRAME, again)
     if commit.keyframe_poses:
-        t = schema.keyframes
-        connection.execute(
-            update(t)
-            .where(t.c.session == key, t.c.keyframe == bindparam("index"))
-            .values(pose_map_lidar=bindparam("pose")),
-            [{"index": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses],
-        )
+        moved = [{"key": key, "number": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses]
+        connection.execute(_MOVE_KEYFRAME, moved)
 
 
 def _make_room(connection: Connection, key: int, indices: list[int]) -> None:
     """Remove what the keyframes replace, and count those that are new."""
-    for table in (schema.clouds, schema.keyframes):
-        replaced = connection.execute(
-            delete(table).where(table.c.session == key, table.c.keyframe.in_(indices))
-        ).rowcount
-    t = schema.sessions
-    connection.execute(update(t).where(t.c.id == key).values(keyframes=t.c.keyframes + len(indices) - replaced))
+    connection.execute(_DELETE_CLOUDS, {"key": key, "indices": indices})
+    replaced = connection.execute(_DELETE_KEYFRAMES, {"key": key, "indices": indices}).rowcount
+    connection.execute(_COUNT_KEYFRAMES, {"key": key, "new": len(indices) - replaced})

@@ -57,6 +57,7 @@ class Session:
         self.state = State.INITIALISING
         self.accounts = accounts
         self.leaving = False  # the robot goes to another replica once all is durable
+        self.settled = True  # has the pipeline done all that the frames answered so far mean for the map?
         self.finishing = False  # Bye was said, its commit is under way
         self.held: deque[pb.StreamRequest] = deque()  # what waits until the store has taken more of what is applied
         self._engine, self._store, self._tally = engine, store, tally
@@ -142,6 +143,7 @@ class Session:
             if missing := frame.seq - self.log.applied_seq - 1:
                 self._tally.count("frames", "missing", by=missing)
                 self._new_holes.append((frame.seq, self.log.applied_seq))
+            self.settled = False
             with self.accounts.timed():
                 answer = self._map_or_reject(frame, poisoned)
             self.log.applied_seq = frame.seq
@@ -151,6 +153,17 @@ class Session:
                 self._answers.popitem(last=False)
         answer.applied_seq, answer.durable_seq = self.log.applied_seq, self.log.durable_seq
         return answer
+
+    def settle(self) -> None:
+        """After the answer is on its way: takes the frame into the map. Raises what the pipeline does."""
+        if self.settled:
+            return
+        with self.accounts.timed():
+            graph_s = self._pipeline.settle()
+        if graph_s is not None:
+            self._tally.observe("stage_seconds", graph_s, "graph")
+        self.accounts.frame_done()
+        self.settled = True
 
     def _map_or_reject(self, frame: pb.Frame, poisoned: bool) -> pb.Odometry:
         try:
@@ -172,7 +185,7 @@ class Session:
         fixes, unusable = messages.fixes_from_wire(list(frame.fixes))
         if unusable:
             self._tally.count("gnss", "unusable", by=unusable)
-        result = self._pipeline.process(features, fixes)
+        result = self._pipeline.answer(features, fixes)
         answer = messages.odometry(result)
         self.state = result.state
         self._T_map_odom = self._new_T_map_odom[frame.seq] = result.T_map_odom

@@ -237,7 +237,8 @@ class LoopSettings(Model):
     strong_likeness: float = 0.7
     patience_m: float = Field(default=24.0, description="way to the next look after failures in a row, at most")
     strong_patience_m: float = Field(default=9.0, description="the same for places above the strong likeness")
-    known_way_m: float = Field(default=20.0, description="places tied by a shorter way in the graph need no search")
+    near_way_m: float = Field(default=20.0, description="places tied by a shorter way in the graph need no loop")
+    near_drift_m: float = Field(default=1.5, description="usual drift up to which the graph's guess does for GICP")
     search_voxel_share: float = 0.06
     search_voxel_min_m: float = 0.3
     search_voxel_max_m: float = 0.75

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from sqlalchemy import Connection, Engine, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, Update, bindparam, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from map_service import schema
@@ -24,6 +24,21 @@ from map_service.types import FactorRecord, KeyframeRecord, Snapshot
 
 _CLOUDS_AT_ONCE = 256
 _RACES = 8  # lost one after the other, when a session is opened by many
+
+
+def _advance_statement() -> Update:
+    """Compare and set on (epoch, last_seq). Made once: to make a statement costs more than to run it."""
+    t = schema.sessions
+    values: dict[str, ColumnElement] = {name: bindparam(f"to_{name}") for name in ("last_seq", "finished", "tracker")}
+    for name in ("frames", "rejected", "loops", "gnss_factors", "bytes"):
+        values[name] = t.c[name] + bindparam(f"new_{name}", type_=t.c[name].type)
+    for name in ("finished_s", "statistics", "last_stamp_ns", "first_stamp_ns"):  # None: as it was
+        values[name] = func.coalesce(bindparam(f"or_{name}", type_=t.c[name].type), t.c[name])
+    owned = t.c.id == bindparam("of_key"), t.c.epoch == bindparam("of_epoch"), t.c.finished.is_(False)
+    return update(t).where(*owned, t.c.last_seq == bindparam("after_seq")).values(values)
+
+
+_ADVANCE = _advance_statement()
 
 
 class FencedError(Exception):
@@ -148,34 +163,30 @@ class Store:
             insert_rows(connection, key, entry)
 
     def _advance(self, connection: Connection, key: int, epoch: int, entry: SessionCommit) -> bool:
-        t, commit = schema.sessions, entry.commit
+        commit = entry.commit
         kinds = [factor.kind for factor in commit.factors]
         stamps = [f.stamp_ns for f in commit.frames] + [stamp_ns for _, stamp_ns, _ in entry.rejected]
+        first = bool(stamps) and commit.previous_seq == 0
         values = {
-            "last_seq": commit.last_seq,
-            "finished": entry.finished,
-            "frames": t.c.frames + len(commit.frames),
-            "rejected": t.c.rejected + len(entry.rejected),
-            "loops": t.c.loops + kinds.count("loop"),
-            "gnss_factors": t.c.gnss_factors + kinds.count("gnss"),
-            "bytes": t.c.bytes + entry.bytes,
-            "tracker": commit.tracker,
+            "of_key": key,
+            "of_epoch": epoch,
+            "after_seq": commit.previous_seq,
+            "to_last_seq": commit.last_seq,
+            "to_finished": entry.finished,
+            "to_tracker": commit.tracker,
+            "new_frames": len(commit.frames),
+            "new_rejected": len(entry.rejected),
+            "new_loops": kinds.count("loop"),
+            "new_gnss_factors": kinds.count("gnss"),
+            "new_bytes": entry.bytes,
+            "or_finished_s": time.time() if entry.finished else None,
+            "or_statistics": entry.statistics or None,
+            "or_last_stamp_ns": max(stamps, default=None),
+            "or_first_stamp_ns": min(stamps) if first else None,
         }
-        if entry.finished:
-            values["finished_s"] = time.time()
-        if entry.statistics:
-            values["statistics"] = entry.statistics
-        if stamps:
-            values["last_stamp_ns"] = max(stamps)
-            if commit.previous_seq == 0:
-                values["first_stamp_ns"] = min(stamps)
-        changed = connection.execute(
-            update(t)
-            .where(t.c.id == key, t.c.epoch == epoch, t.c.last_seq == commit.previous_seq, t.c.finished.is_(False))
-            .values(**values)
-        ).rowcount
-        if changed == 1:
+        if connection.execute(_ADVANCE, values).rowcount == 1:
             return True
+        t = schema.sessions
         found = connection.execute(select(t.c.epoch, t.c.last_seq, t.c.finished).where(t.c.id == key)).first()
         if found is not None and tuple(found) == (epoch, commit.last_seq, entry.finished):
             return False

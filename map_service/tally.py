@@ -35,7 +35,6 @@ class Tally:
         if (effort := answer.effort) is None:
             return
         self.observe("stage_seconds", effort.registration_s, "registration")
-        self.observe("stage_seconds", effort.graph_s, "graph")
         if not effort.registered:
             return
         if not effort.features:

@@ -41,13 +41,12 @@ class CorrectionRecord:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What one answer took: thread CPU time, s; of its registration the steps, and how many of the features fitted.
+    """What placing a frame took: thread CPU time, s; its registration's steps, and how many of the features fitted.
 
     features: 0 for a frame that brought none. registered: false for the first frame, which makes the map.
     """
 
     registration_s: float
-    graph_s: float
     registered: bool = False
     iterations: int = 0
     inliers: int = 0
@@ -68,7 +67,6 @@ class MapAnswer:
     correction: CorrectionRecord | None
     keyframe: bool
     registration_ms: float
-    graph_ms: float
     effort: Effort | None = None
 
 

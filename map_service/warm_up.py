@@ -33,7 +33,8 @@ def warm_up(engine: SlamEngine) -> None:
         made = _frame(seq, beams)
         payload = codec.encode(made, beams, _COLUMNS)
         frame = pb.Frame(seq=seq, stamp_ns=made.stamp_ns, dense=made.dense, payload=payload)
-        pipeline.process(engine.decode(frame, request), [])
+        pipeline.answer(engine.decode(frame, request), [])
+        pipeline.settle()
     settings = TrackerSettings()
     search = WideSearch(settings.search, Registration(settings.registration))
     search.places(LocalMap(settings.local_map), _frame(1, beams), np.eye(4))  # a lost robot waits for no compiler

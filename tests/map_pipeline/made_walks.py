@@ -162,10 +162,17 @@ class Walk:
         ]
 
 
-def walk(world: World, truth: list[np.ndarray], drift: np.ndarray, *, finish: bool = True) -> Walk:
+def walk(
+    world: World,
+    truth: list[np.ndarray],
+    drift: np.ndarray,
+    *,
+    finish: bool = True,
+    loops: dict[str, float] | None = None,
+) -> Walk:
     """Maps the walk, a keyframe each STEP_M; results are applied 5 keyframes after their candidate."""
     verifier = Inline()
-    settings = PipelineSettings(loops=LoopSettings(apply_after_frames=5))
+    settings = PipelineSettings(loops=LoopSettings(**{"apply_after_frames": 5, **(loops or {})}))
     pipeline = MapPipeline(Robot(imu=None, gnss=None), settings, verifier)
     pipeline.tracker = DriftingTracker(truth, drift)
     rng = np.random.default_rng(11)

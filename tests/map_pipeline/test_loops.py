@@ -14,6 +14,7 @@ from map_service.loop_fit import CloudPair
 from map_service.loop_gate import Chain
 from map_service.loop_search import search
 from map_service.loops import LoopJob, LoopResult, near_candidate, verify
+from map_service.places import PlaceIndex
 from map_service.settings import LoopFitSettings, LoopSettings
 from splitslam import se3
 from tests.map_pipeline.naive import room
@@ -215,6 +216,36 @@ def test_results_are_applied_at_a_fixed_number_of_scans_however_fast_they_come()
     assert closer.has_due(110)
     assert [a.loop.newer for a in closer.due(110, chain)] == [2]
     assert closer.due(111, chain) == []
+
+
+@pytest.mark.parametrize(("tied_m", "tried"), [(19.0, 0), (21.0, 1)])
+def test_a_place_that_a_loop_has_tied_not_far_back_needs_no_other(tied_m: float, tried: int):
+    keyframes, poses, _ = there_and_back(7)
+    aside = se3.compose(np.eye(3), np.array([0.0, tied_m / 2, 0.0]))
+    for k, T in ((7, poses[6] @ aside), (8, poses[6])):  # there and back once more, to keyframe 0, which 6 is tied to
+        keyframes.append(k + 1, k * 40 * SECOND, T, keyframes[6].cloud)
+    verifier = LaterVerifier()
+    closer = LoopCloser(LoopSettings(), verifier)
+    closer.look(100, keyframes, [*poses, poses[6] @ aside, poses[6]], [(0, 6)])
+    assert len(verifier.jobs) == tried
+
+
+@pytest.mark.parametrize(("keyframes_before", "searched"), [(6, False), (13, True)])
+def test_places_are_compared_by_looks_once_the_graph_may_be_off_by_more_than_icp_reaches(keyframes_before, searched):
+    """0.3 m and 1 % of the way: 1.5 m after 120 m, which are six keyframes of there_and_back."""
+    compared = []
+
+    class Watched(PlaceIndex):
+        def search(self, points_level, count):
+            compared.append(count)
+
+    _, poses, _ = there_and_back(keyframes_before)
+    closer = LoopCloser(LoopSettings(), LaterVerifier())
+    closer.places = Watched(LoopSettings().places)
+    for newest in range(1, keyframes_before):
+        part, _, _ = there_and_back(newest + 1)
+        closer.look(newest, part, poses[: newest + 1], [])
+    assert bool(compared) is searched
 
 
 def test_the_state_of_the_first_release_is_read():

@@ -39,7 +39,7 @@ POINTS_LIDAR = np.array([[1, 0, 0], [0, 2, 0], [0, 0.01, 0]], np.float32)
 
 
 def payload(does: str = "map", **values: Any) -> bytes:
-    """does: map | corrupt | raise | crash (once=) | away (once=) | sleep (seconds=)."""
+    """does: map | corrupt | raise | unsettled | crash (once=) | away (once=) | sleep (seconds=)."""
     return json.dumps({"does": does, **values}).encode()
 
 
@@ -60,9 +60,10 @@ class FakePipeline:
         self.frames: list[FrameRecord] = []
         self.new_keyframes: list[KeyframeRecord] = []
         self.factors: list[FactorRecord] = []
+        self.failing = False
         self.moved: list[tuple[int, np.ndarray]] = []
 
-    def process(self, frame: dict[str, Any], fixes: Sequence[GnssFix]) -> MapAnswer:
+    def answer(self, frame: dict[str, Any], fixes: Sequence[GnssFix]) -> MapAnswer:
         self._act(frame)
         seq, stamp_ns = frame["seq"], frame["stamp_ns"]
         keyframe = self.mapped % KEYFRAME_EVERY == 0
@@ -77,7 +78,13 @@ class FakePipeline:
         pose = at(x_m - self.keyframes[newest])
         self.frames.append(FrameRecord(seq, stamp_ns, newest, pose, at(x_m), int(State.TRACKING)))
         none = np.zeros((0, 6))
-        return MapAnswer(seq, stamp_ns, at(x_m), at(0.5), np.eye(6), State.TRACKING, none, None, keyframe, 1.0, 2.0)
+        return MapAnswer(seq, stamp_ns, at(x_m), at(0.5), np.eye(6), State.TRACKING, none, None, keyframe, 1.0)
+
+    def settle(self) -> float | None:
+        """All was done at once; "unsettled" fails now."""
+        if self.failing:
+            raise RuntimeError("told to, after the answer")
+        return None
 
     def _act(self, frame: dict[str, Any]) -> None:
         match frame["does"]:
@@ -89,6 +96,8 @@ class FakePipeline:
                 if not os.path.exists(frame["once"]):
                     open(frame["once"], "w").close()
                     raise StoreError("a cloud cannot be fetched")
+            case "unsettled":
+                self.failing = True
             case "raise":
                 raise RuntimeError("told to")
             case "sleep":

@@ -132,6 +132,21 @@ def test_a_frame_that_the_pipeline_fails_on_ends_the_stream_once_and_is_rejected
     assert resumed.ask(frame(3)).pose_map_lidar.tx_m == 2.0
 
 
+def test_a_frame_that_fails_after_its_answer_is_not_left_half_way_in_the_map(
+    service: Service, connect: Connect
+) -> None:
+    robot = connect(service)
+    robot.ask(frame(1))
+    assert robot.ask(frame(2, payload("unsettled"))).pose_map_lidar.tx_m == 2.0
+    assert robot.end() == grpc.StatusCode.INTERNAL
+    assert "told to, after the answer" in service.log
+    resumed = connect(service)
+    for seq in range(resumed.next("welcome").applied_seq + 1, 2):
+        resumed.ask(frame(seq))
+    assert resumed.ask(frame(2, payload("unsettled"))).rejected == "failed"
+    assert resumed.ask(frame(3)).pose_map_lidar.tx_m == 2.0
+
+
 def test_credit_comes_twice_a_second_also_when_the_robot_says_nothing(service: Service, connect: Connect) -> None:
     robot = connect(service)
     robot.next("welcome")

@@ -59,9 +59,9 @@ def on_the_edge() -> Callable[[], None]:
 def in_the_worker() -> tuple[Callable[[], None], Tally]:
     """All that a worker's thread counts for one mapped frame."""
     tally, none = Tally(), np.zeros((0, 6))
-    effort = Effort(0.004, 0.001, True, 5, 900, 1000)
+    effort = Effort(0.004, True, 5, 900, 1000)
     poses = np.eye(4), np.eye(4), np.eye(6)
-    answer = MapAnswer(1, 1, *poses, State.TRACKING, none, None, False, 4.0, 1.0, effort)
+    answer = MapAnswer(1, 1, *poses, State.TRACKING, none, None, False, 4.0, effort)
     return lambda: tally.mapped(answer), tally
 
 
