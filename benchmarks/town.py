@@ -98,17 +98,16 @@ class Robot:
         edges = np.column_stack([walls[upright, :2], rng.uniform(-_SENSOR_M, _HIGH_M, corners)])
         ground = surfs // 3
         flat = rng.choice(len(walls), surfs - ground, p=weight / weight.sum())
-        along = rng.uniform(size=(len(flat), 1))
-        faces = np.column_stack(
-            [walls[flat, :2] + along * walls[flat, 2:], rng.uniform(-_SENSOR_M, _HIGH_M, len(flat))]
-        )
+        along, up_m = rng.uniform(size=(len(flat), 1)), rng.uniform(-_SENSOR_M, _HIGH_M, len(flat))
+        faces = np.column_stack([walls[flat, :2] + along * walls[flat, 2:], up_m])
         bearing, range_m = rng.uniform(0.0, 2.0 * np.pi, ground), 2.0 + 18.0 * rng.uniform(size=ground) ** 1.5
         floor = np.column_stack([np.cos(bearing) * range_m, np.sin(bearing) * range_m, np.full(ground, -_SENSOR_M)])
         floor[:, :2] += here[:2]
-        R = T_world_lidar[:3, :3]
-        return tuple(
-            (p + rng.normal(0.0, _NOISE_M, p.shape) - here) @ R for p in (edges, np.concatenate([faces, floor]))
-        )
+        return self._seen(T_world_lidar, edges), self._seen(T_world_lidar, np.concatenate([faces, floor]))
+
+    def _seen(self, T_world_lidar: Array, points_world: Array) -> Array:
+        noisy = points_world + self._rng.normal(0.0, _NOISE_M, points_world.shape)
+        return (noisy - T_world_lidar[:3, 3]) @ T_world_lidar[:3, :3]
 
 
 def _features(points_lidar: Array) -> FeatureSet:

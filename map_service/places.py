@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service import _place_kernels as kernels
+from map_service.growing import GrowingArray
 from map_service.settings import PlaceSettings
 from splitslam import se3
 from splitslam.errors import DataError
@@ -36,12 +37,11 @@ class PlaceIndex:
     def __init__(self, settings: PlaceSettings) -> None:
         self.settings = s = settings
         self._heights = np.zeros((s.rings, s.sectors))
-        self._spectra = np.zeros((64, s.rings, s.sectors // 2 + 1), np.complex64)
-        self._keys = np.zeros((64, s.rings * s.key_frequencies), np.float32)
-        self._count = 0
+        self._spectra = GrowingArray((s.rings, s.sectors // 2 + 1), np.complex64)
+        self._keys = GrowingArray((s.rings * s.key_frequencies,), np.float32)
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._keys)
 
     def add(self, points_level: NDArray[np.float32]) -> None:
         """Describes the next place: points (N, 3), m, around the sensor, z up."""
@@ -49,26 +49,21 @@ class PlaceIndex:
 
     def packed(self, place: int) -> bytes:
         """A description as it is stored: spectrum complex64, key float32, little-endian; 5 kB."""
-        return self._spectra[place].astype("<c8").tobytes() + self._keys[place].astype("<f4").tobytes()
+        return self._spectra.rows[place].astype("<c8").tobytes() + self._keys.rows[place].astype("<f4").tobytes()
 
     def add_packed(self, data: bytes) -> None:
         """Adds the next place from what `packed` made. Raises DataError for another length."""
-        spectrum, key = self._spectra[0], self._keys[0]
-        if len(data) != spectrum.nbytes + key.nbytes:
-            raise DataError(
-                "corrupt", f"place descriptor of {len(data)} bytes: expected {spectrum.nbytes + key.nbytes}"
-            )
-        self._append(
-            np.frombuffer(data, "<c8", spectrum.size).reshape(spectrum.shape),
-            np.frombuffer(data, "<f4", key.size, spectrum.nbytes),
-        )
+        s = self.settings
+        shape, key = (s.rings, s.sectors // 2 + 1), s.rings * s.key_frequencies
+        expected = 8 * shape[0] * shape[1] + 4 * key
+        if len(data) != expected:
+            raise DataError("corrupt", f"place descriptor of {len(data)} bytes: expected {expected}")
+        spectrum = np.frombuffer(data, "<c8", shape[0] * shape[1]).reshape(shape)
+        self._append(spectrum, np.frombuffer(data, "<f4", key, spectrum.nbytes))
 
     def _append(self, spectrum: NDArray, key: NDArray) -> None:
-        if self._count == len(self._keys):
-            self._spectra = np.concatenate([self._spectra, np.zeros_like(self._spectra)])
-            self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
-        self._spectra[self._count], self._keys[self._count] = spectrum, key
-        self._count += 1
+        self._spectra.append(spectrum)
+        self._keys.append(key)
 
     def search(self, points_level: NDArray[np.float32], count: int) -> PlaceMatch | None:
         """The most alike of places 0 .. count - 1; None when there are none or the newer place is empty.
@@ -81,11 +76,11 @@ class PlaceIndex:
         offsets = s.lane_m * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
         described = [self._describe(points_level, offset) for offset in offsets]
         keys = np.stack([key for _, key in described])
-        likenesses = np.einsum("nk,jk->jn", self._keys[:count], keys)  # BLAS would start threads for so little
+        likenesses = np.einsum("nk,jk->jn", self._keys.rows[:count], keys)  # BLAS would start threads for so little
         best: PlaceMatch | None = None
         for offset, (spectrum, _), likeness in zip(offsets, described, likenesses, strict=True):
             chosen = _largest(likeness, s.shortlist)
-            correlation = np.fft.irfft((self._spectra[chosen] * np.conj(spectrum)).sum(axis=1), s.sectors, axis=1)
+            correlation = np.fft.irfft((self._spectra.rows[chosen] * np.conj(spectrum)).sum(axis=1), s.sectors, axis=1)
             i, shift = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
             value = float(correlation[i, shift])
             if value > (0.0 if best is None else best.likeness):

@@ -86,7 +86,10 @@ def test_every_command_of_the_page_works_in_its_order(tmp_path: Path) -> None:
     for folder in ("mine", "map"):
         assert (tmp_path / "out" / folder / "map.ply").stat().st_size > 100_000
     assert len(read_tum(tmp_path / "out/mine/trajectory.tum")) == MAPPED
-    assert len(read_tum(tmp_path / "out/map/trajectory.tum")) == MAPPED
+    found = re.search(r"^demo/\S+  north  finished  (\d+) frames", said[LIST])
+    assert found, said[LIST]
+    assert MAPPED // 2 < int(found[1]) <= MAPPED  # by the clock: a busy machine drops scans, and says so
+    assert len(read_tum(tmp_path / "out/map/trajectory.tum")) == int(found[1])
     pulled = json.loads(said["splitslam demo --chaos"])
     (fault,) = pulled["faults"]
     assert re.fullmatch(r"replica-\d killed", fault["fault"])
