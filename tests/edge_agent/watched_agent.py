@@ -45,7 +45,8 @@ def watched_frame(self: AgentSink, *arguments: Any) -> Any:
     return message
 
 
-daemon.warm_up, AgentSink.on_frame = watched_warm_up, watched_frame
+daemon.warm_up = watched_warm_up
+AgentSink.on_frame = watched_frame  # pyright: ignore[reportAttributeAccessIssue]
 daemon.run_agent(load(AgentConfig, Path(sys.argv[1]), "UNUSED"), threading.Event())
 warm = report.pop("warm")
 print(json.dumps({**report, "warm": len(warm), "late": sorted(signatures() - warm)}))
