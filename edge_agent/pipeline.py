@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from edge_agent.bare import CarriedMotion, ends
 from edge_agent.dense import DensePolicy
+from edge_agent.features._projection_kernels import known_points
 from edge_agent.features.select import Selector
 from edge_agent.image_node import make_image_node
 from edge_agent.rate import RateControl
@@ -104,7 +105,7 @@ class EdgePipeline:
         )
 
     def _check(self, scan: Scan) -> None:
-        usable = int(np.count_nonzero(scan.ring < self._rings))
+        usable = known_points(scan.ring, self._rings)
         if usable == 0:
             raise DataError("empty", "scan without points")
         if usable < self.settings.min_points:

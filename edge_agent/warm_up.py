@@ -26,7 +26,7 @@ from splitslam.scan import ImuSamples, Scan, ScanPacket, WheelSamples
 
 _SCANS = 4
 _SCAN_NS = 100_000_000
-_IMU_NS = 5_000_000
+_IMU_NS = 5_000_000, 2_000_000  # of even and odd scans: a fast IMU's motion is resampled
 
 
 def warm_up(
@@ -47,9 +47,9 @@ def warm_up(
     for k in range(_SCANS):
         scan = _room(k * _SCAN_NS, robot, beam_elevations_rad)
         if robot.imu is not None:
-            _as_text(node.add_imu(_still(k * _SCAN_NS, robot)))
+            _as_text(node.add_imu(_still(k * _SCAN_NS, _IMU_NS[k % 2], robot)))
         if robot.wheels is not None:
-            node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS]), np.zeros((1, 2)), np.zeros(1)))
+            node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS[0]]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))
         codec.recode(frame.payload, 1, beam_elevations_rad, robot.lidar.columns)  # for a service of before
         pose = node.T_odom_lidar_at(frame.stamp_ns)
@@ -76,8 +76,8 @@ def _match(settings: OdometrySettings, frame: FeatureFrame, reply: OdometryReply
     matching.stop()
 
 
-def _still(start_ns: int, robot: Robot) -> ImuSamples:
-    stamps_ns = start_ns + np.arange(0 if start_ns == 0 else _IMU_NS, _SCAN_NS + _IMU_NS, _IMU_NS, dtype=np.int64)
+def _still(start_ns: int, step_ns: int, robot: Robot) -> ImuSamples:
+    stamps_ns = start_ns + np.arange(0 if start_ns == 0 else step_ns, _SCAN_NS + 1, step_ns, dtype=np.int64)
     up_imu = robot.T_lidar_imu[:3, :3].T @ np.array([0.0, 0.0, robot.gravity_mps2])
     return ImuSamples(stamps_ns, np.zeros((len(stamps_ns), 3)), np.tile(up_imu, (len(stamps_ns), 1)))
 

@@ -147,3 +147,10 @@ NEW_GROUND_OFF_M = 0.3
 FILTER_OF_SIGMA = 0.5
 FILTER_SIGMA_RATIO = 0.1
 FILTER_GYRO_BIAS_RADPS, FILTER_ACCEL_BIAS_MPS2 = 5e-4, 0.05
+
+# Of a scan in the steady state: what it leaves (counters), what it needs in between (the coder's models: 0.16 MB; the
+# features themselves), and the warm start, in times what `import numba` costs (0.25 s; seen: 3.9 times, 5.9 on a busy
+# machine).
+STEADY_SCAN_STAYS_BYTES = 4_096
+STEADY_SCAN_BYTES = 400_000
+WARM_START_IMPORTS = 8.0

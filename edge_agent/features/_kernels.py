@@ -246,6 +246,23 @@ def spread(keep, target, chosen):
     return wanted
 
 
+@njit(cache=True, nogil=True)
+def pick(keep, marks, mark, equal, out):
+    """out[i] = 1 for the points with keep[i] = 1 whose mark is `mark`, or with equal = False is not. All (N,) uint8."""
+    for i in range(len(keep)):
+        out[i] = keep[i] & ((marks[i] == mark) == equal)
+
+
+@njit(cache=True, nogil=True)
+def indices(chosen, out):
+    """out[:n], int32, = where chosen (N,) uint8 or uint16 is not 0; returns n."""
+    n = 0
+    for i in range(len(chosen)):
+        out[n] = i
+        n += chosen[i] != 0
+    return n
+
+
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def facing(points, column, ring_start, keep, group):
     """group[i] of each point with keep[i] = 1: which way its surface faces; 0..7 walls by azimuth, 8 floor, 9 ceiling.

@@ -93,6 +93,15 @@ def quick_columns(x, y, columns, out):
         out[i] = column if sure else np.int32(-1)
 
 
+@njit(cache=True, nogil=True)
+def known_points(ring, rings):
+    """How many points have a ring below `rings`."""
+    count = 0
+    for i in range(len(ring)):
+        count += ring[i] < rings
+    return count
+
+
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def project(points, ring, cells, counts):
     """cells (rings, columns) int32: index of the first point of each cell, -1 where there is none.
@@ -138,7 +147,7 @@ def range_units(x, y, z):
 def gather(cells, points, out_points, out_range, out_column, source, ring_start):
     """Lays the cells' points out by ring, then column; ring_start (rings + 1,). Returns how many there are.
 
-    source (M,) int32 is each point's index in the scan; out_range (M,) int32 its range, 1/1024 m.
+    source (M,) intp is each point's index in the scan; out_range (M,) int32 its range, 1/1024 m.
     """
     rings, columns = cells.shape
     n = 0

@@ -45,7 +45,7 @@ class Projector:
         self._points = np.empty((cells, 3), np.float32)
         self._range = np.empty(cells, np.int32)
         self._column = np.empty(cells, np.uint16)
-        self._source = np.empty(cells, np.int32)
+        self._source = np.empty(cells, np.intp)
         self._ring_start = np.empty(rings + 1, np.int32)
         self._counts = np.zeros(2, np.int64)
         self._ring = np.empty(cells, np.uint8)
@@ -64,13 +64,13 @@ class Projector:
             self._source,
             self._ring_start,
         )
-        source = self._source[:n]
+        source = self._source[:n]  # mode: "raise" would go by a copy
         return Image(
             points_lidar=self._points[:n],
-            ring=np.take(scan.ring, source, out=self._ring[:n]),
+            ring=np.take(scan.ring, source, out=self._ring[:n], mode="clip"),
             column=self._column[:n],
-            t_offset_ns=np.take(scan.t_offset_ns, source, out=self._time[:n]),
-            intensity=np.take(scan.intensity, source, out=self._intensity[:n]),
+            t_offset_ns=np.take(scan.t_offset_ns, source, out=self._time[:n], mode="clip"),
+            intensity=np.take(scan.intensity, source, out=self._intensity[:n], mode="clip"),
             ring_start=self._ring_start,
             duplicates=int(self._counts[0]),
             outside=int(self._counts[1]),

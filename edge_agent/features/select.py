@@ -7,8 +7,6 @@ centroid, so that every feature keeps its ring, column and time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +29,7 @@ class Selector:
         self._chosen = np.empty(cells, np.uint8)
         self._group = np.empty(cells, np.uint8)
         self._voxel_of = np.empty(cells, np.int32)
+        self._index = np.empty(cells, np.int32)
         self._wanted = (0, 0)
         slots = 1 << (2 * columns - 1).bit_length()
         self._table = np.empty((slots, 2), np.int64)
@@ -59,47 +58,39 @@ class Selector:
     ) -> tuple[FeatureSet, FeatureSet]:
         """(corners, surfs) out of what `find` has found in this image, or an even share of them. All copies."""
         n = len(image)
-        rank, kept = self._rank[:n], self._kept[:n]
+        rank, kept, chosen = self._rank[:n], self._kept[:n], self._chosen[:n]
         corners, surfs = (round(share * wanted) for wanted in self._wanted)
-        if dense and share >= 1.0:
-            corner_index, surf_index = np.flatnonzero(rank), np.flatnonzero(kept)
-        elif dense:
-            corner_index = self._sharpest(rank, corners)
-            kernels.spread(kept, surfs, self._chosen[:n])
-            surf_index = np.flatnonzero(self._chosen[:n])
-        else:
-            corner_index = self._sharpest(rank, corners)
-            surf_index = self._facing_all_ways(image, kept, found, surfs)
-        take = _taker(image)
-        return take(corner_index), take(surf_index)
-
-    def _sharpest(self, rank: NDArray[np.unsignedinteger], target: int) -> NDArray[np.int64]:
-        """The sharpest of every sector first, then the second of each, until there are enough."""
-        chosen = self._chosen[: len(rank)]
-        kernels.sharpest(rank, target, chosen)
-        return np.flatnonzero(chosen)
+        everything = dense and share >= 1.0
+        if not everything:  # the sharpest of every sector first, then the second of each, until there are enough
+            kernels.sharpest(rank, corners, chosen)
+        taken_corners = self._take(image, rank if everything else chosen)
+        if dense and not everything:
+            kernels.spread(kept, surfs, chosen)
+        elif not dense:
+            self._facing_all_ways(image, kept, found, surfs, chosen)
+        return taken_corners, self._take(image, kept if everything else chosen)
 
     def _facing_all_ways(
-        self, image: Image, kept: NDArray[np.uint8], found: FeatureMarks, target: int
-    ) -> NDArray[np.int64]:
+        self, image: Image, kept: NDArray[np.uint8], found: FeatureMarks, target: int, chosen: NDArray[np.uint8]
+    ) -> None:
         """Flat and reliable ones, evenly by which way they face; rougher ones only when there are too few.
 
         Rusinkiewicz, Levoy, "Efficient variants of the ICP algorithm", 2001, section 3.1: normal-space sampling.
         """
-        flat = (kept.view(bool) & (found.marks == FLAT)).view(np.uint8)
-        chosen, group = self._chosen[: len(kept)], self._group[: len(kept)]
+        n = len(kept)
+        flat, group = self._picked[:n], self._group[:n]
+        kernels.pick(kept, found.marks, FLAT, True, flat)
         kernels.facing(image.points_lidar, image.column, image.ring_start, flat, group)
         taken = kernels.spread_by_group(flat, group, target, chosen)
-        index = np.flatnonzero(chosen)
         if taken < target:
-            rest = (kept.view(bool) & (flat == 0)).view(np.uint8)
-            kernels.spread(rest, target - taken, chosen)
-            index = np.sort(np.concatenate([index, np.flatnonzero(chosen)]))
-        return index
+            rough, more = group, flat  # neither is needed any more
+            kernels.pick(kept, found.marks, FLAT, False, rough)
+            kernels.spread(rough, target - taken, more)
+            np.bitwise_or(chosen, more, out=chosen)
 
-
-def _taker(image: Image) -> Callable[[NDArray[np.int64]], FeatureSet]:
-    def take(index: NDArray[np.int64]) -> FeatureSet:
+    def _take(self, image: Image, chosen: NDArray[np.unsignedinteger]) -> FeatureSet:
+        """Copies of the points with chosen[i] not 0."""
+        index = self._index[: kernels.indices(chosen, self._index)]
         return FeatureSet(
             points_lidar=image.points_lidar[index],
             ring=image.ring[index],
@@ -107,5 +98,3 @@ def _taker(image: Image) -> Callable[[NDArray[np.int64]], FeatureSet]:
             t_offset_ns=image.t_offset_ns[index],
             intensity=image.intensity[index],
         )
-
-    return take
