@@ -80,14 +80,18 @@ def _fix_message(fix: GnssFix) -> types.GnssFix:
 
 
 def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
-    """The server's answer. One that makes no sense counts as rejected, so that the Imu node never sees it."""
+    """The server's answer. One that makes no sense counts as rejected, so that the Imu node never sees it.
+
+    The repeated answer to a frame that only the store remembers has no covariance: it is known to 1 rad and 1 m then.
+    """
     covariance, axes = np.eye(6), np.zeros((0, 6))
     rejected = message.rejected
     T_map_lidar = T_map_odom = np.eye(4)
     if not rejected:
         try:
             T_map_lidar, T_map_odom = matrix(message.pose_map_lidar), matrix(message.pose_map_odom)
-            covariance = np.array(message.covariance, dtype=np.float64).reshape(6, 6)
+            if message.covariance or not message.duplicate:
+                covariance = np.array(message.covariance, dtype=np.float64).reshape(6, 6)
             axes = np.array(message.degenerate_axes, dtype=np.float64).reshape(-1, 6)
             if not (np.isfinite(covariance).all() and np.isfinite(axes).all()):
                 raise ValueError("covariance or axes not finite")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +51,13 @@ class Catalog:
         t = schema.sessions
         with self._store.reading() as connection:
             return connection.execute(select(t).where(t.c.session_id == session_id)).first()
+
+    def epochs(self, keys: Iterable[int]) -> dict[int, int]:
+        """By key: how often each session has been opened; without those that are not there."""
+        t = schema.sessions
+        with self._store.reading() as connection:
+            rows = connection.execute(select(t.c.id, t.c.epoch).where(t.c.id.in_(list(keys)))).all()
+        return {row.id: row.epoch for row in rows}
 
     def delete(self, session_id: str) -> Deleted | None:
         """Remove a session with everything it stored; None: there is none."""

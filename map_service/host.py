@@ -21,6 +21,7 @@ from map_service.opening import Opener
 from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
 from map_service.store import FencedError, FinishedError, Store, StoreError
+from map_service.taken_over import TakenOver
 from map_service.tally import Tally
 from map_service.types import StateVersionError
 from splitslam.logs import fields
@@ -44,6 +45,7 @@ class SessionHost:
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
         self._opener = Opener(self.sessions, engine, store, self._committer, self._quotas, self.tally, self.cpu_ns)
+        self._taken_over = TakenOver(Catalog(store))
         self._poison: dict[str, int] = {}
 
     def cpu_ns(self) -> int:
@@ -241,6 +243,8 @@ class SessionHost:
                 self.sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
                 self.sessions.drop(session.request.session_id)
         self._keep_quotas()
+        for session in self._taken_over.of(self.sessions.all(), self._committer.run):
+            self.sessions.drop(session.request.session_id)
         self.sessions.evict()
 
     def _keep_quotas(self) -> None:

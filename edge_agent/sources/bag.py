@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinitionFormat
+from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from edge_agent.raw_ring import RawStream
 from splitslam.errors import DataError, InputError
@@ -44,6 +45,19 @@ class Bag:
     def count(self, topic: str) -> int:
         """Messages on a topic as the recording's index says."""
         return sum(c.msgcount for c in self.connections if c.topic == topic)
+
+    def check_definitions(self, topics: set[str]) -> None:
+        """Raises InputError where a recording's own definition of a type lacks what that type has elsewhere."""
+        usual = typestore()
+        for connection in self.connections:
+            if connection.topic in topics:
+                try:
+                    lacking = _lacking(self._reader.typestore, usual, connection.msgtype)
+                except Exception as error:  # it names types that are not there
+                    lacking = _one_line(error)
+                if lacking:
+                    of = f"{connection.topic}: the recording's definition of {connection.msgtype}"
+                    raise InputError(f"{self.path}: {of} is not the usual one; expected a field {lacking}")
 
     def messages(self, topics: set[str], tap: Tap | None = None) -> Iterator[tuple[str, int, Any]]:
         """(topic, arrival time ns, message or DataError), recording order. InputError when the file is damaged.
@@ -94,7 +108,7 @@ def stream_of(connection: Connection) -> RawStream:
     )
 
 
-def typestore() -> Any:
+def typestore() -> Typestore:
     """Types for ROS 2 recordings that carry no definitions (sqlite3 ones before Iron)."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: dict[str, Any] = {}
@@ -102,6 +116,25 @@ def typestore() -> Any:
         types.update(get_types_from_msg(definition, name))
     store.register(types)
     return store
+
+
+def _lacking(types: Typestore, usual: Typestore, name: str) -> str:
+    """The first field that the usual type has, of that very type, and the other has not; "" when none is missing."""
+    found = dict(types.fielddefs[name][1])
+    for field, kind in usual.fielddefs[name][1]:
+        if found.get(field) != kind:
+            return f"{name}.{field}"
+        if (inner := _named(kind)) and (lacking := _lacking(types, usual, inner)):
+            return lacking
+    return ""
+
+
+def _named(kind: Any) -> str | None:
+    """The message type in a field, or in a list of them."""
+    node, of = kind
+    if node is Nodetype.NAME:
+        return str(of)
+    return _named(of[0]) if node in (Nodetype.ARRAY, Nodetype.SEQUENCE) else None
 
 
 def _look_at(path: Path) -> None:
@@ -126,7 +159,10 @@ def _look_at(path: Path) -> None:
 
 def _reason(error: Exception) -> str:
     text = _one_line(error)
-    if any(hint in text.lower() for hint in ("index", "footer", "magic", "malformed", "chunk", "end of file")):
+    if any(
+        hint in text.lower()
+        for hint in ("index", "footer", "magic", "malformed", "chunk", "end of file", "memoryerror")
+    ):
         return f"truncated or damaged recording: {text}; expected a complete one (try `rosbag reindex`)"
     return f"not a readable recording: {text}"
 

@@ -38,7 +38,8 @@ def elevation_rad(points_lidar: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _far(points_lidar: NDArray[np.float32]) -> NDArray[np.bool_]:
-    horizontal_m = np.hypot(points_lidar[:, 0], points_lidar[:, 1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        horizontal_m = np.hypot(points_lidar[:, 0], points_lidar[:, 1])
     return np.isfinite(points_lidar).all(axis=1) & (horizontal_m > _FAR_M)
 
 

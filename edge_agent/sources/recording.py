@@ -172,6 +172,7 @@ class Recording:
                 sections[sensor.section] = section.model_copy(update={"topic": topic})
             else:
                 sections[sensor.section] = None
+        self._bag.check_definitions(set(chosen.values()))
         if "lidar" not in chosen or self._bag.count(chosen["lidar"]) == 0:
             raise InputError(
                 f"{self._name}: no scans: expected messages of type sensor_msgs/PointCloud2 or"

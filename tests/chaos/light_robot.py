@@ -192,7 +192,9 @@ class LightRobot:
     def _note_answers(self) -> None:
         for answer in self._uplink.take_answers():
             seq = answer.reply.seq
+            rejected = answer.reply.rejected
             self.witness.expect(seq not in self.arrivals, f"frame {seq} answered twice")
+            self.witness.expect(not rejected, f"frame {seq}: its answer is not taken: {rejected}")
             self.arrivals[seq] = Arrival(time.monotonic(), answer)
 
     # --- what it has seen -------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.fuzz import storage, wire
+from tests.fuzz import recordings, storage, wire
 from tests.fuzz.target import Target
 
 TARGETS: dict[str, Callable[[], Target]] = {
@@ -17,4 +17,5 @@ TARGETS: dict[str, Callable[[], Target]] = {
     "store_rows": storage.store_rows,
     "packets": storage.packets,
     "point_clouds": storage.point_clouds,
+    "recordings": recordings.recordings,
 }

@@ -23,6 +23,7 @@ INPUTS = {
     "store_rows": 60,
     "packets": 4000,
     "point_clouds": 1200,
+    "recordings": 300,
 }
 
 

@@ -15,6 +15,7 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from edge_agent.wire import answer
 from splitslam.wire import session_pb2 as pb
 from tests.conftest import ROOT
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
@@ -64,6 +65,7 @@ def test_after_sigkill_of_the_service_a_restart_on_store_and_port_goes_on_and_ma
     assert welcome.pose_map_odom.tx_m == 0.5
     stored = resumed.ask(frame(30))
     assert (stored.duplicate, stored.pose_map_lidar.tx_m, stored.pose_map_odom.tx_m) == (True, 30.0, 0.5)
+    assert not answer(stored, round_trip_s=0.0).reply.rejected, "the agent takes it"
     for seq in range(welcome.durable_seq + 1, 61):
         assert resumed.ask(frame(seq)).pose_map_lidar.tx_m == seq
     finish(resumed, 60)

@@ -62,10 +62,17 @@ def watched_fleet(folder: Path, rules: Path) -> Iterator[Watched]:
     """Runs all of it; inside the block Prometheus still answers."""
     with ExitStack() as cleanup:
         stack, drives = _prepare(folder, cleanup)
-        fleet = _Fleet(folder, stack, drives, cleanup)
-        prometheus, began_s = cleanup.enter_context(Prometheus(folder, fleet.targets, rules)), time.time()
+        ports = {CALM: free_port(), SICK: free_port()}
+        targets = {
+            "edge-agent": {f"127.0.0.1:{port}": {"robot": name} for name, port in ports.items()},
+            "map-service": {f"127.0.0.1:{replica.metrics_port}": {} for replica in stack.replicas},
+        }
+        # It looks for pages before there are any: what has happened by the first look it does not see rise.
+        prometheus, began_s = cleanup.enter_context(Prometheus(folder, targets, rules)), time.time()
+        wait_until(lambda: _reached(prometheus) == 2, _WAIT_S, "a page of each replica")
+        fleet = _Fleet(folder, stack, drives, ports, cleanup)
         reel = record(drives[0].recording, drives[0].robot, max_scans=_REEL_SCANS)  # while the agents get ready
-        top = Top([*fleet.targets["edge-agent"], *fleet.targets["map-service"]])
+        top = Top([*targets["edge-agent"], *targets["map-service"]])
         fleet.wait_tracking()
         wait_until(lambda: _reached(prometheus) == 4, _WAIT_S, "a page of each of the four")
         calm_s = time.time()
@@ -93,7 +100,10 @@ def _prepare(folder: Path, cleanup: ExitStack) -> tuple[Stack, tuple[Drive, Driv
 class _Fleet:
     """The two agents, each on its own drive, the first behind a link."""
 
-    def __init__(self, folder: Path, stack: Stack, drives: tuple[Drive, Drive], cleanup: ExitStack) -> None:
+    def __init__(
+        self, folder: Path, stack: Stack, drives: tuple[Drive, Drive], ports: dict[str, int], cleanup: ExitStack
+    ) -> None:
+        """ports: of each robot's metrics."""
         self.link = cleanup.enter_context(Link(stack.address))
         began_s = time.monotonic() + _GET_READY_S
 
@@ -101,7 +111,7 @@ class _Fleet:
             agent = Agent(
                 *(name, drive, server, folder / name),
                 began_s=began_s,
-                metrics_port=free_port(),
+                metrics_port=ports[name],
                 settings=settings,
                 program=program,
             )
@@ -111,10 +121,6 @@ class _Fleet:
 
         self.calm = start(CALM, drives[0], self.link.address, _SMALL_SPOOL, PROGRAM)
         self.sick = start(SICK, drives[1], stack.address, _BUDGET, _ON_A_SICK_BOARD)
-        self.targets: dict[str, dict[str, dict[str, str]]] = {
-            "edge-agent": {_metrics_of(agent): {"robot": agent.name} for agent in (self.calm, self.sick)},
-            "map-service": {f"127.0.0.1:{replica.metrics_port}": {} for replica in stack.replicas},
-        }
 
     def wait_tracking(self) -> None:
         wait_until(lambda: _tracks(self.calm) and _tracks(self.sick), _WAIT_S, "both agents tracking")
@@ -168,6 +174,7 @@ def _harm(fleet: _Fleet, stack: Stack, reel: Reel) -> None:
     fleet.calm.process.kill()
     time.sleep(_DEAD_S)
     wait_until(lambda: _page(fleet.calm).has("splitslam_"), _WAIT_S, "the agent again")
+    _until(fleet.sick, "splitslam_edge_clock_steps_total", "the step of its IMU's clock")
     _until(fleet.sick, "splitslam_edge_check_problems", "what the robot file is wrong about")
     time.sleep(_SCRAPES_S)
     for robot in (blind, *crowd):

@@ -14,7 +14,7 @@ from splitslam.stack.robot import LightRobot
 from tests import tolerances as bars
 from tests.map_service.fakes import FINAL_SHIFT_M
 from tests.map_service.harness import Operator
-from tests.stack.watch import events, fenced, fullest, loads, owner, rebalanced, streams
+from tests.stack.watch import events, fenced, fullest, loads, owner, rebalanced, streams, wait_level
 
 pytestmark = pytest.mark.alone  # gaps by the clock, and who found the place at the first try
 Drive = Callable[..., list[LightRobot]]
@@ -51,7 +51,7 @@ def go_on(robots: list[LightRobot], frames: int = 15) -> None:
 
 def test_after_sigkill_of_a_replica_others_go_on_within_half_a_second(whole: Stack, drive: Drive) -> None:
     robots = drive(3)
-    wait_until(lambda: loads(whole) == [1, 1, 1], 15.0, "one robot each")
+    wait_level(whole, [1, 1, 1])
     attempts, retries = [robot.attempt for robot in robots], proxy_retries(whole)
     since_s = time.monotonic()
     fullest(whole).kill()
@@ -68,7 +68,7 @@ def test_a_replica_that_is_drained_says_where_there_is_room_and_leaves_nothing_t
     whole: Stack, drive: Drive
 ) -> None:
     robots = drive(4)
-    wait_until(lambda: loads(whole) == [1, 1, 2], 15.0, "robots on all three")
+    wait_level(whole, [1, 1, 2])
     leaving = fullest(whole)
     attempts = [robot.attempt + (owner(whole, robot) == leaving.name) for robot in robots]
     since_s = time.monotonic()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import time
 
-from splitslam.stack import Replica, Stack
+from splitslam.stack import Replica, Stack, StackError
 from splitslam.stack.robot import LightRobot
+
+_STILL_S = 1.5  # longer than the balance of replicas takes to act on what it has seen, with this stack's settings
 
 
 def streams(replica: Replica) -> int:
@@ -15,6 +18,18 @@ def streams(replica: Replica) -> int:
 def loads(stack: Stack) -> list[int]:
     """Robots of each replica, ascending."""
     return sorted(map(streams, stack.replicas))
+
+
+def wait_level(stack: Stack, expected: list[int], timeout_s: float = 20.0) -> None:
+    """Those loads, and nobody about to be sent elsewhere: replicas decide by what they saw a moment ago."""
+    deadline_s = time.monotonic() + timeout_s
+    moves, since_s = -1, 0.0
+    while loads(stack) != expected or rebalanced(stack) != moves or time.monotonic() - since_s < _STILL_S:
+        if time.monotonic() > deadline_s:
+            raise StackError(f"robots {expected}, and there to stay: not within {timeout_s:g} s, now {loads(stack)}")
+        if loads(stack) != expected or rebalanced(stack) != moves:
+            moves, since_s = rebalanced(stack), time.monotonic()
+        time.sleep(0.05)
 
 
 def fullest(stack: Stack) -> Replica:
