@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import grpc
@@ -84,13 +85,11 @@ class _Robot:
         self._changed.set()
 
     async def play(self, begin_s: float, until_s: float) -> None:
-        """Frames by the clock, then Bye; what goes wrong is in the account."""
-        if self._listener is None:
-            return
-        try:
+        """Frames by the clock, until the last is answered; what goes wrong is in the account."""
+        with self._told():
             for number, request in enumerate(self._requests):
                 due_s = begin_s + number * self._period_s
-                if due_s >= until_s:
+                if due_s >= until_s or self._listener is None:
                     break
                 if (wait_s := due_s - time.monotonic()) > 0:
                     await asyncio.sleep(wait_s)
@@ -98,9 +97,18 @@ class _Robot:
                 self.account.sent(due_s, time.monotonic())
                 await self._call.write(request)
             await self._until(lambda: self.account.unanswered == 0)
+
+    async def finish(self) -> None:
+        """Says Bye, until the service has closed the session."""
+        with self._told():
             bye = pb.Bye(last_seq=len(self.account.sent_s))
             await self._call.write(pb.StreamRequest(bye=bye).SerializeToString())
             await self._until(lambda: self.account.finished is not None)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
         except TimeoutError:
             what = f"{self.account.unanswered} frames" if self.account.unanswered else "Bye"
             self.account.complain(f"{what} unanswered for {_LAST_S:g} s")
@@ -132,7 +140,9 @@ class Fleet:
         self._requests = [pb.StreamRequest(frame=frame).SerializeToString() for frame in reel.frames]
 
     def play(self, seconds: float, look: Callable[[], None]) -> Played:
-        """For that long, or the drive's length if that is shorter; `look` is called when it begins and ends."""
+        """For that long, or the drive's length if that is shorter; `look` is called before the first frame of all and
+        after the last answer.
+        """
         return asyncio.run(self._play(seconds, look))
 
     async def _play(self, seconds: float, look: Callable[[], None]) -> Played:
@@ -154,14 +164,12 @@ class Fleet:
                 robot.play(begin_s + offset_s, begin_s + offset_s + length_s)
                 for robot, offset_s in zip(robots, self._offsets_s, strict=True)
             ]
-            await asyncio.gather(*play, self._at(begin_s + length_s, look))
-            tcp = meter.read()
+            await asyncio.gather(*play)
+            tcp, cpu_s = meter.read(), time.process_time() - cpu_s
+            look()  # while nobody waits: it holds up the processes that are looked at
+            await asyncio.gather(*(robot.finish() for robot in robots))
             used = TcpBytes(tcp.sent - opened.sent, tcp.received - opened.received)
-            return Played([robot.account for robot in robots], used, time.process_time() - cpu_s, length_s)
+            return Played([robot.account for robot in robots], used, cpu_s, length_s)
         finally:
             await asyncio.gather(*(robot.close() for robot in robots))
             meter.settle()
-
-    async def _at(self, at_s: float, look: Callable[[], None]) -> None:
-        await asyncio.sleep(max(0.0, at_s - time.monotonic()))
-        look()
