@@ -142,6 +142,7 @@ class LongSession:
             begin_ns, process_ns = time.thread_time_ns(), time.process_time_ns()
             answer = self.session.apply(frame)
             largest_ns = max(largest_ns, time.thread_time_ns() - begin_ns)
+            self.session.settle()
             self._log.collect()
             if self.session.commit_due:
                 self.session.commit()

@@ -45,7 +45,7 @@ class Surroundings:
     def follow(
         self, centre_m: Array, local_map: LocalMap, keyframes: Keyframes, corrected: Callable[[], Array]
     ) -> None:
-        """After a scan at centre_m (3,) in `local`; corrected: where the graph has all keyframes, (n, 4, 4) in `local`."""
+        """After a scan at centre_m (3,) in `local`; corrected: where the graph has all keyframes there, (n, 4, 4)."""
         s = self.settings
         if self._looked_at_m is None:
             self._looked_at_m = centre_m.copy()
