@@ -13,7 +13,7 @@ from splitslam.config import Model
 from splitslam.security.settings import ServerTls
 
 ENV_PREFIX = "SPLITSLAM_MAP"
-SESSIONS_A_WORKER = 10
+SESSIONS_A_WORKER = 16
 
 
 def _address(listen: str) -> str:
@@ -150,5 +150,5 @@ class ServiceConfig(Model):
 
     @property
     def session_limit(self) -> int:
-        """A robot at 10 Hz keeps a core busy for 6 % of the time; the rest is for loops and for catching up."""
+        """A robot at 10 Hz keeps a core busy for 3 to 4 % of the time; the rest is for loops and for catching up."""
         return self.limits.max_sessions or SESSIONS_A_WORKER * self.worker_count

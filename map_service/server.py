@@ -20,6 +20,7 @@ from map_service.engine import DEFAULT_ENGINE
 from map_service.housekeeping import Housekeeper
 from map_service.membership import Membership, own_address
 from map_service.metrics import ServiceMetrics
+from map_service.processes import leave_out_of_collections
 from map_service.rebalance import Rebalancer
 from map_service.session_service import SessionFront
 from map_service.store import Store
@@ -72,6 +73,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         if local is not None:
             await local.start()
         await _set_health(checks, health_pb2.HealthCheckResponse.SERVING)
+        leave_out_of_collections()
         scraped = f"{page.host}:{page.port}" if page else None
         keeping = asyncio.create_task(Housekeeper(store, config, metrics).run())
         print(json.dumps({"event": "listening", "grpc": address, "metrics": scraped}), flush=True)

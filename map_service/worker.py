@@ -19,7 +19,7 @@ from map_service.channel import Beat, Close, DrainAll, Drained, Ready, WorkerEnd
 from map_service.config import ServiceConfig
 from map_service.engine import load_engine
 from map_service.host import SessionHost
-from map_service.processes import follow_parent, resident_bytes
+from map_service.processes import follow_parent, leave_out_of_collections, resident_bytes
 from map_service.store import Store
 from splitslam.logs import configure_logs, fields
 
@@ -50,6 +50,7 @@ def worker_main(spec: WorkerSpec, sock: socket.socket) -> None:
         end = WorkerEnd(sock)
         store = Store(spec.config.store, spec.config.store_wait_s)
         host = SessionHost(spec.config, engine, store, end.send)
+        leave_out_of_collections()
         Worker(host, end, spec.config.limits.worker_queue_messages).run()
         engine.close()
         code = 0

@@ -85,9 +85,9 @@ def test_the_search_finds_the_largest_number_in_few_tries(most: int):
     assert len(tried) == len(set(tried)) <= 10
 
 
-def test_three_robots_in_step_are_answered_in_full_and_cost_something(yard1: Path, tmp_path: Path):
+def test_three_robots_in_step_are_answered_in_full_and_cost_something(shared_data: Path, tmp_path: Path):
     options = ("--robots", 3, "--seconds", SECONDS, "--out", tmp_path, "--json")
-    exit_code, text, errors = bench(yard1, *options)
+    exit_code, text, errors = bench(shared_data / "yard1" / "yard1.bag", *options)
     result = json.loads((tmp_path / "load.json").read_text())
     assert json.loads(text) == result, errors
     (trial,) = result["trials"]
