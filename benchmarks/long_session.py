@@ -132,11 +132,7 @@ class LongSession:
             frame = pb.Frame(seq=self.seq, stamp_ns=self.seq * FRAME_NS, codec_version=codec.CODEC_VERSION)
             begin_ns = time.process_time_ns()
             answer = self.session.apply(frame)
-<<<<<<< HEAD
-=======
-            largest_ns = max(largest_ns, time.thread_time_ns() - begin_ns)
             self.session.settle()
->>>>>>> mapcpu
             self._log.collect()
             if self.session.commit_due:
                 self.session.commit()

@@ -65,7 +65,8 @@ def drive(url: str, run_id: str, keyframes: int) -> int:
     found = 0
     while found < keyframes:
         seq += 1
-        answer = pipeline.process(block_frame(seq, _BEAMS_RAD), [])
+        answer = pipeline.answer(block_frame(seq, _BEAMS_RAD), [])
+        pipeline.settle()
         T_map_odom[seq] = answer.T_map_odom
         found += answer.keyframe
         if (answer.keyframe and found % 20 == 0) or found == keyframes:
