@@ -25,6 +25,7 @@ from splitslam import se3
 Array = NDArray[np.float64]
 _VERSION = 1
 _OFFSET_FIXES = 4
+_TOGETHER = 20  # odometry factors taken in at once: an update looks at every pose, whatever is new
 _FIXED = 1e-4  # rad and m: what defines `map`
 
 
@@ -215,10 +216,11 @@ class PoseGraph:
 
         far: poses may move so far that one linearisation will not do, as loops move them and fixes do not.
         """
-        self._isam.update(self._graph, self._values)
-        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        if not corrected:
-            return  # a chain of odometry alone: nothing before the new keyframe can have moved
+        if not corrected:  # a chain of odometry alone: nothing before the new keyframe can have moved
+            if self._graph.size() >= _TOGETHER:
+                self._take_in()
+            return
+        self._take_in()
         for _ in range(self.settings.extra_updates if far else 0):
             self._isam.update()
         estimate = self._isam.calculateEstimate()
@@ -228,8 +230,13 @@ class PoseGraph:
         for row, datum in zip(rows[len(self.poses) :], sorted(self.data), strict=True):  # rows come by key: x, z
             self.data[datum] = _from_row(row)
 
+    def _take_in(self) -> None:
+        self._isam.update(self._graph, self._values)
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+
     def tilt_sigma_rad(self, keyframe: int) -> float:
-        """How well the graph knows what is level at a keyframe it has optimised."""
+        """How well the graph knows what is level at a keyframe."""
+        self._take_in()
         R = self.poses[keyframe][:3, :3]
         covariance = R @ self._isam.marginalCovariance(X(keyframe))[:3, :3] @ R.T
         return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
