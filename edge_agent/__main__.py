@@ -1,4 +1,4 @@
-"""The command `edge-agent`. What it needs is imported inside the command: `--help` must not wait for numba or gtsam."""
+"""The command `edge-agent`. What it needs is imported inside the command: `--help` must not wait for numba."""
 
 from __future__ import annotations
 
