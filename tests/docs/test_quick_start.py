@@ -144,7 +144,9 @@ def _what_the_tables_say_is_there(folder: Path) -> None:
 
 
 def test_make_demo_is_the_demo() -> None:
-    shown = subprocess.run(("make", "--dry-run", "demo"), cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    shown = subprocess.run(
+        ("make", "--no-print-directory", "--dry-run", "demo"), cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
     assert shown.splitlines()[-1].split() == [".venv/bin/splitslam", "demo"]
 
 
