@@ -128,9 +128,9 @@ def dump(pipeline: MapPipeline) -> bytes:
             "carried_sigma": state.carried_sigma.tolist(),
             "doubt": pipeline.tracker.doubt.dump(),
             "carried": pipeline.tracker.carried.dump(),
-            "found": pipeline.found,
+            "found": pipeline.uncertainty.found,
             "reference": pipeline.ground.reference,
-            "slip": pipeline.drift.slip.tolist(),
+            "slip": pipeline.uncertainty.drift.slip.tolist(),
             "T_map_local": pipeline.T_map_local.tolist(),
             "T_map_odom": pipeline.T_map_odom.tolist(),
             "gnss": None if pipeline.gnss is None else pipeline.gnss.dump(),
@@ -154,8 +154,8 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         return
     poses = [k.T_map_lidar for k in snapshot.keyframes]
     pipeline.graph = PoseGraph.restore(pipeline.settings.graph, list(snapshot.factors), poses)
-    pipeline.drift = MapDrift(pipeline.graph.drifts)
-    pipeline.drift.slip = np.array(data.get("slip", np.zeros((6, 6))))
+    pipeline.uncertainty.drift = MapDrift(pipeline.graph.drifts)
+    pipeline.uncertainty.drift.slip = np.array(data.get("slip", np.zeros((6, 6))))
     pipeline.T_map_local = np.array(data["T_map_local"])
     pipeline.T_map_odom = np.array(data["T_map_odom"])
     back = se3.inv(pipeline.T_map_local)
@@ -180,7 +180,7 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     if "doubt" in data:  # sessions of 0.1.0 have none
         pipeline.tracker.doubt.load(data["doubt"])
         pipeline.tracker.carried.load(data.get("carried", []))
-        pipeline.found = bool(data["found"])
+        pipeline.uncertainty.found = bool(data["found"])
     if pipeline.gnss is not None and data["gnss"] is not None:
         pipeline.gnss.load(data["gnss"])
     if "leveller" in data:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from map_service import persistence
 from map_service.closing import LoopCloser
 from map_service.clouds import CloudsAwayError, Fetch
-from map_service.drift import MapDrift
 from map_service.fixes import FixPlacer, Passage
 from map_service.gnss import GnssGate
 from map_service.graph import PoseGraph
@@ -28,10 +27,11 @@ from map_service.levelling import Leveller
 from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.pipeline_statistics import Moment, PipelineStatistics, effort, outcomes
-from map_service.settings import DoubtSettings, GraphSettings, PipelineSettings
+from map_service.settings import PipelineSettings
 from map_service.surroundings import Surroundings
 from map_service.tracker import Track, Tracker
 from map_service.types import Cause, Commit, CorrectionRecord, FrameRecord, MapAnswer, Snapshot
+from map_service.uncertainty import Uncertainty
 from map_service.wide_search import Fit
 from splitslam import se3
 from splitslam.features import FeatureFrame
@@ -73,13 +73,10 @@ class MapPipeline:
             self._placer = FixPlacer(self.gnss, robot.gnss.t_lidar_antenna_m, settings.gnss.spacing_m)
         self.leveller = Leveller(settings.level)
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
-        self.drift = MapDrift(self.graph.drifts)
+        self.uncertainty = Uncertainty(settings, self.graph.drifts)
         self.ground = MappedGround(settings.ground)
-        self._map_covariance = np.eye(6) * 1e-8  # of the local map around the robot
-        self._registered_covariance = np.zeros((6, 6))  # of the last scan that had features
         self.T_map_local = np.eye(4)
         self.T_map_odom = np.eye(4)
-        self.found = False  # has the robot been lost, and found again, since the last keyframe?
         self.surroundings = Surroundings(settings.tracker.local_map)
         self._correction: CorrectionRecord | None = None  # that the next answer tells
         self._open: _Open | None = None
@@ -104,11 +101,7 @@ class MapPipeline:
         before = self.tracker.state
         track = self.tracker.process(frame)
         registered = time.perf_counter(), time.thread_time()
-        if before is not None and (r := track.registration) is not None and r.features:
-            moved = se3.inv(before.T_local_lidar) @ track.T_local_lidar
-            self.drift.follow(moved, r.degenerate_axes, frame.motion.covariance)
-            self._map_covariance = self.drift.at(track.T_local_lidar, r.keyframes, self.keyframes.T_local)
-            self._registered_covariance = r.covariance
+        self.uncertainty.follow(before, track, frame.motion.covariance, self.keyframes.T_local)
         if track.T_found_carried is not None:
             self._correction = self._found(track, track.T_found_carried)
         keyframe = track.keyframe and not self._on_mapped_ground(frame, track)
@@ -176,12 +169,13 @@ class MapPipeline:
             self.graph.add_first(T_map_lidar, min(sigma, s.stood_prior_rad) if stood else sigma)
         else:
             motion = se3.inv(self.keyframes.T_local(follows)) @ track.T_local_lidar
-            covariance = self._odometry_covariance(track, motion)
-            joint = self._since_lost(self.settings.graph)
-            self.graph.add_odometry(T_map_lidar, motion, covariance + joint, self._covariance(track), follows)
+            u, s = self.uncertainty, self.settings
+            covariance = u.odometry(track, motion)
+            joint = u.since_lost(s.graph)
+            self.graph.add_odometry(T_map_lidar, motion, covariance + joint, u.pose(track), follows)
             if self.gnss is not None:
-                self.gnss.moved(covariance + self._since_lost(self.settings.tracker.doubt))
-        self.found = False
+                self.gnss.moved(covariance + u.since_lost(s.tracker.doubt))
+        self.uncertainty.found = False
         self.keyframes.add(frame, track, follows)
         self.ground.reference = index
         added = self.keyframes[index]
@@ -194,33 +188,11 @@ class MapPipeline:
     def _chain(self) -> Chain:
         return Chain(self.graph.poses, self.keyframes.way_m(), self.graph.loops, self.keyframes.branches)
 
-    def _covariance(self, track: Track) -> Array:
-        """(6, 6) of the pose in the frame of the first one: the map's where it was matched, and the registration's."""
-        r = track.registration
-        if r is None:
-            return self._map_covariance
-        covariance = r.covariance if r.features else self._registered_covariance + r.covariance
-        return np.asarray(self._map_covariance + self.settings.doubt * covariance)
-
-    def _odometry_covariance(self, track: Track, motion: Array) -> Array:
-        s = self.settings.graph
-        assert track.registration is not None
-        translation = s.odometry_translation_m + s.odometry_translation_share * float(np.linalg.norm(motion[:3, 3]))
-        floor = np.diag(np.repeat([s.odometry_rotation_rad**2, translation**2], 3))
-        return track.registration.covariance + floor + self.drift.slip
-
-    def _since_lost(self, doubt: GraphSettings | DoubtSettings) -> Array:
-        """(6, 6): what being lost adds to the covariance of the way since the last keyframe.
-
-        The robot was found in the map, so the graph doubts the joint by decimetres; of its way there nothing is known.
-        """
-        return np.diag(np.repeat([doubt.kidnap_rad**2, doubt.kidnap_m**2], 3)) * self.found
-
     def _found(self, track: Track, T_found_carried: Array) -> CorrectionRecord:
         """The robot stands elsewhere than it was carried: `odom` goes on as if nothing were, the jump is `map`'s."""
         jump = self.T_map_local @ T_found_carried @ se3.inv(self.T_map_local)
         self.T_map_odom = se3.orthonormalised(jump @ self.T_map_odom)
-        self.found = True
+        self.uncertainty.found = True
         self._place_again(track)
         moved = se3.inv(track.T_local_lidar) @ T_found_carried @ track.T_local_lidar
         correction = CorrectionRecord(Cause.RELOCALISE, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
@@ -326,7 +298,7 @@ class MapPipeline:
             stamp_ns=frame.stamp_ns,
             T_map_lidar=self.T_map_local @ track.T_local_lidar,
             T_map_odom=self.T_map_odom,
-            covariance=self._covariance(track),
+            covariance=self.uncertainty.pose(track),
             state=track.state,
             degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
             correction=correction,
