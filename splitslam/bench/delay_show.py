@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.table import Table
 
 from splitslam.bench.delay import Delayed, DelayResult
+from splitslam.bench.figures_table import figures_table
 from splitslam.report.style import BLUE, GREEN, LIGHT_BLUE, MUTED, ORANGE, png, styled
 
 _COLOURS = (BLUE, GREEN, ORANGE, MUTED, LIGHT_BLUE)
@@ -20,17 +20,8 @@ def show(result: DelayResult, console: Console | None = None) -> None:
         console.width = _WIDTH
     where = "at IMU rate" if result.at_imu_rate else "at scans"
     title = f"{result.name}, {result.scans} scans: the robot's pose {where} while answers are late"
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1), pad_edge=False)
-    table.add_column("answers\nlate by", no_wrap=True)
-    for column in (
-        "ATE, robot\nmm",
-        "to the\nfirst",
-        "largest\nmm",
-        "RPE 1 s\nmm",
-        "ATE, answers\nmm",
-        "edge odometry\ns",
-    ):
-        table.add_column(column, justify="right", no_wrap=True)
+    errors = ("ATE, robot\nmm", "to the\nfirst", "largest\nmm", "RPE 1 s\nmm", "ATE, answers\nmm")
+    table = figures_table(title, "answers\nlate by", *errors, "edge odometry\ns")
     for run in result.runs:
         rpe = run.robot.rpe_1s_m
         table.add_row(

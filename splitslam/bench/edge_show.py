@@ -9,6 +9,7 @@ from rich.table import Table
 
 from splitslam.bench import paper
 from splitslam.bench.edge_result import SCAN_MS, STAGES, EdgeTimes, Stats
+from splitslam.bench.figures_table import figures_table
 from splitslam.bench.paper import A53_FACTOR
 
 _WIDTH = 100
@@ -39,18 +40,10 @@ def show(found: list[EdgeTimes], fpga: str, console: Console | None = None) -> N
             console.print(line)
 
 
-def _table(title: str, first: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1), pad_edge=False)
-    table.add_column(first, no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
-
-
 def _table_5(found: list[EdgeTimes]) -> Table:
     """Deskew."""
     columns = ("mean\nms", "std\nms", "maximum\nms", f"over\n{SCAN_MS:g} ms", "with FPGA\nms", "mean to\nFPGA")
-    table = _table("Table V: deskew of a scan", "\n", *columns)
+    table = figures_table("Table V: deskew of a scan", "\n", *columns)
     for where, how in ((_HERE, "here"), (_A53, "a53")):
         table.add_row(where, style="underline")
         for one in found:
@@ -70,7 +63,7 @@ def _table_6(found: list[EdgeTimes]) -> Table:
     """The whole edge."""
     columns = ("mean\nms", "with\nFPGA", "std\nms", "with\nFPGA", "maximum\nms", "with\nFPGA")
     over = f"over {SCAN_MS:g} ms\nwithout, with"
-    table = _table("Table VI: a scan on the edge", "\n", *columns, over, "mean to\nFPGA")
+    table = figures_table("Table VI: a scan on the edge", "\n", *columns, over, "mean to\nFPGA")
     for where, how in ((_HERE, "here"), (_A53, "a53")):
         table.add_row(where, style="underline")
         for one in found:
@@ -93,7 +86,7 @@ def _table_6(found: list[EdgeTimes]) -> Table:
 
 def _stages(found: list[EdgeTimes]) -> Table:
     """Where the time goes here."""
-    table = _table(
+    table = figures_table(
         "Stages, mean ms on this CPU", "\n", "points\na scan", *(f"\n{s}" for s in STAGES), "\ntotal", "\np99"
     )
     for one in found:

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from splitslam.bench import laz, paper
+from splitslam.bench.figures_table import figures_table
 from splitslam.bench.paper import A53_FACTOR
 from splitslam.bench.partition_result import CASES, Partition
 
@@ -48,18 +49,10 @@ def show(found: list[Partition], laz_missing: bool, console: Console | None = No
     console.print(f"check: the paper's inputs break even at {ours} Mbit/s (the paper: {theirs})")
 
 
-def _table(title: str, first: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1), pad_edge=False)
-    table.add_column(first, no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
-
-
 def _bytes(one: Partition) -> Table:
     title = f"{one.name}: {one.scans} scans in {one.recording_s:.1f} s, {one.points:,.0f} points a scan"
     columns = ("points\nMbit/s", "IMU\nMbit/s", "total\nMbit/s", "Case 1\nto this", "native\nto this", "LAZ\nto this")
-    table = _table(title, "\nwhat is sent", *columns)
+    table = figures_table(title, "\nwhat is sent", *columns)
     yardsticks = (one.case1_bytes, one.native_bytes, one.laz_bytes)
     for name in CASES:
         case = one.cases[name]
@@ -84,7 +77,7 @@ def _times(one: Partition) -> Table:
     """Figure 12 in numbers, for an edge that is this processor and for one that is predicted."""
     title = f"{one.name}: time of a scan, edge + server + link (Figure 12)"
     at = [f"ms at\n{mbps:g} Mbit/s" for mbps in _AT_MBPS]
-    table = _table(title, "\n", "kbit\na scan", "edge\nms", "server\nms", *at, "break-even\nMbit/s")
+    table = figures_table(title, "\n", "kbit\na scan", "edge\nms", "server\nms", *at, "break-even\nMbit/s")
     for where, factor in ((_HERE, 1.0), (_A53, A53_FACTOR)):
         table.add_row(where, style="underline")
         for name in CASES:
@@ -100,7 +93,7 @@ def _times(one: Partition) -> Table:
 def _paper() -> Table:
     """Tables III and IV of the paper."""
     columns = ("points\nMbit/s", "IMU\nMbit/s", "total\nMbit/s", "Case 1\nto this")
-    table = _table("The paper (Walking; Campus and Park: its Table IV)", "\nwhat is sent", *columns)
+    table = figures_table("The paper (Walking; Campus and Park: its Table IV)", "\nwhat is sent", *columns)
     whole = sum(paper.TABLE_3["case1"])
     for name, (points, imu) in paper.TABLE_3.items():
         total = points + imu

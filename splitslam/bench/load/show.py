@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+
+from splitslam.bench.figures_table import figures_table
 
 _WIDTH = 110
 
@@ -17,9 +18,8 @@ def show(result: dict[str, Any], console: Console | None = None) -> None:
         console.width = _WIDTH
     machine, best = result["machine"], result["best"]
     title = f"Robots at 10 Hz, one map service and the generator on {machine['cpus']} cores"
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1), pad_edge=False)
-    for column in ("robots", "start", "frames", "lost", "p50 ms", "p99 ms", "max ms", "sent late\np99 ms", "", "cores"):
-        table.add_column(column, justify="right", no_wrap=True)
+    columns = ("start", "frames", "lost", "p50 ms", "p99 ms", "max ms", "sent late\np99 ms", "", "cores")
+    table = figures_table(title, "robots", *columns)
     for trial in result["trials"]:
         answer, verdict = trial["answer_ms"], "ok" if trial["passed"] else "wrong" if trial["wrong"] else "late"
         table.add_row(
