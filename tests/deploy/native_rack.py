@@ -25,7 +25,7 @@ import yaml
 from numba.core.caching import UserProvidedCacheLocator
 
 from splitslam.stack.envoy import EnvoyProxy
-from splitslam.stack.postgres import PostgresServer, _binary
+from splitslam.stack.postgres import PostgresServer, binary
 from splitslam.stack.process import StackProcess, free_port, wait_until
 from tests import debian
 from tests.conftest import ROOT
@@ -209,7 +209,7 @@ class NativeRack:
     def database_healthy(self) -> bool:
         """Compose's health check."""
         check = compose.SERVICES["postgres"]["healthcheck"]["test"][1:]
-        command = (_binary(check[0]), *check[1:], "-p", str(self.postgres.port))
+        command = (binary(check[0]), *check[1:], "-p", str(self.postgres.port))
         return subprocess.run(command, capture_output=True, timeout=10).returncode == 0
 
     def stop(self, replica: MapService) -> int | None:
