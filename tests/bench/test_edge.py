@@ -44,7 +44,7 @@ def test_it_writes_json_and_picture_and_keeps_the_drive(made: tuple[Path, str]):
     assert (one["lidar"], one["scans"]) == ("24x256", 14)  # of 15: without the first
     assert one["edge_ms"]["here_fpga"] is None
     stages = sum(stage["mean"] for stage in one["stages_cpu_ms"].values())
-    assert 0 < stages <= one["edge_ms"]["here"]["mean"]
+    assert 0 < stages <= one["edge_ms"]["here"]["mean"] + 1e-9  # the same sum in another order
 
 
 def test_a_drive_that_is_there_is_not_made_again(made: tuple[Path, str]):
