@@ -57,7 +57,7 @@ def test_a_store_that_dies_for_three_seconds_costs_no_frame_and_no_answer(
     postgres: DatabaseServer, start_service: Callable[..., Service], connect: Callable[..., Robot7], session_id: str
 ) -> None:
     url = postgres.empty_database()
-    limits = {"window_frames": WINDOW, "max_delay_s": 60.0}  # frames are held long here: that is no overload to refuse for
+    limits = {"window_frames": WINDOW, "max_delay_s": 60.0}  # frames that are held long here are no overload
     service = start_service(store=url, commit={"backlog_frames": BACKLOG}, limits=limits)
     robot = Listener(connect(service))
     for seq in range(1, BEFORE + 1):
