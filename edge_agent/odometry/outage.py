@@ -3,9 +3,9 @@
 The Imu node is given poses of one frame, `steady`, that never jumps. With the service connected, `steady` is the
 service's odometry frame (inv(T_map_odom) @ T_map_lidar). In an outage the edge's odometry goes on in it, from the
 service's own poses of the last scans; where none has ever come that says where the robot is, from the first scan on,
-level: an agent that begins anew in the middle of a run may be looked for, and what moves meanwhile must not be the
-IMU's word alone. When the service is back, its frame lies where the two disagree by the drift of the outage: T_steady_server. `map` takes that difference,
-and the robot's `odom` knows nothing of it.
+level: an agent that begins anew in the middle of a run may be looked for, and how it moves meanwhile must not be the
+IMU's word alone. When the service is back, its frame lies where the two disagree by the drift of the outage:
+T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing of it.
 """
 
 from __future__ import annotations
