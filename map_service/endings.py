@@ -40,17 +40,27 @@ class Endings:
         self._sessions.drop(session.request.session_id)
 
     def store_failed(self, session: Session, error: Exception) -> None:
-        """It could not be read: the robot comes again. Only a session with a commit that is lost is let go."""
+        """It could not be read: the robot comes again.
+
+        Let go is only a session with a commit that is lost, or one half way through a frame, looking for a cloud.
+        """
         _log.error("store failed", extra=fields(session_id=session.request.session_id, detail=str(error)))
         self._sessions.abort(session, "UNAVAILABLE", "the store does not answer")
-        if session.log.broken:
+        if session.log.broken or not session.settled:
             self._sessions.drop(session.request.session_id)
 
-    def not_committed(self, session: Session) -> None:
-        """A defect: this session's error must not end the others'. Called where the exception is handled."""
-        _log.exception("commit failed", extra=fields(session_id=session.request.session_id))
-        self._sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
-        self._sessions.drop(session.request.session_id)
+    def guarded(self, session: Session, action: Callable[[], None]) -> None:
+        """Does something for a session whose error must not end the others'."""
+        try:
+            action()
+        except FencedError as error:
+            self.fenced(session, error)
+        except StoreError as error:
+            self.store_failed(session, error)
+        except Exception:
+            _log.exception("commit failed", extra=fields(session_id=session.request.session_id))
+            self._sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
+            self._sessions.drop(session.request.session_id)
 
     def handed(self, session: Session) -> None:
         """Everything is durable: what the robot still sends on this stream is for the next replica."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from google.protobuf.message import DecodeError as WireError
 
+from map_service.answered import Answered, AnsweredFrames
 from map_service.catalog import Catalog
 from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request
 from map_service.commits import FLUSH_S, Committer
@@ -35,7 +37,11 @@ _log = logging.getLogger(__name__)
 
 
 class SessionHost:
-    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by the reader."""
+    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by the reader.
+
+    What a frame means for the map, and what is to be committed, can wait while other robots wait for an answer: `care`
+    does a piece of it. A session is cared for before its next frame at the latest.
+    """
 
     def __init__(self, config: ServiceConfig, engine: Engine, store: Store, send: Callable[[Any], None]) -> None:
         self.config, self.engine, self.store, self.tally = config, engine, store, Tally()
@@ -48,6 +54,7 @@ class SessionHost:
         self._opener = Opener(self.sessions, engine, store, self._committer, self._quotas, self.tally, self.cpu_ns)
         self._taken_over = TakenOver(Catalog(store))
         self._poison: dict[str, int] = {}
+        self._answered = AnsweredFrames()
 
     def cpu_ns(self) -> int:
         """CPU time of this process and its loop verifiers."""
@@ -56,11 +63,13 @@ class SessionHost:
     # -- messages -----------------------------------------------------------------------------------------------
 
     def handle(self, message: Any) -> None:
+        if isinstance(message, Request):
+            self._request(message)
+            return
+        self._settle_all()
         match message:
             case Open():
                 self._open(message)
-            case Request():
-                self._request(message)
             case Close(stream):
                 self.closed.discard(stream)
                 self.sessions.detach(stream)
@@ -137,7 +146,12 @@ class SessionHost:
             self.sessions.abort(session, "INVALID_ARGUMENT", "more than the window allows")
 
     def _take(self, session: Session, request: pb.StreamRequest) -> None:
+        self._settle(self._answered.take(session))
+        if session.stream is None:  # what its last frame means could not be done: the robot resumes
+            return
         try:
+            if session.commit_due:
+                session.commit()
             if request.HasField("frame"):
                 self._frame(session, request.frame)
             else:
@@ -150,31 +164,51 @@ class SessionHost:
             self._endings.store_failed(session, error)
 
     def _frame(self, session: Session, frame: pb.Frame) -> None:
-        name, start_s = session.request.session_id, time.monotonic()
+        start_s = time.monotonic()
         try:
-            answer = session.apply(frame, poisoned=self._poison.get(name) == frame.seq)
-            assert session.stream is not None
-            self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
-            session.settle()
-        except SequenceGapError:
+            answer = session.apply(frame, poisoned=self._poison.get(session.request.session_id) == frame.seq)
+        except (SequenceGapError, StoreError):
             raise
+        except Exception:
+            self._frame_failed(session, frame)
+            return
+        assert session.stream is not None
+        self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
+        self._answered.add(Answered(session, frame, answer, time.monotonic() - start_s))
+
+    def _settle(self, answered: Answered | None) -> None:
+        """What an answered frame means for the map."""
+        if answered is None:
+            return
+        session, frame, start_s = answered.session, answered.frame, time.monotonic()
+        name = session.request.session_id
+        try:
+            session.settle()
         except StoreError as error:
             self._endings.store_failed(session, error)
-            if not session.settled:  # it failed half way through the pipeline, looking for a cloud
-                self.sessions.drop(name)
             return
         except Exception:
-            # The pipeline's state cannot be trusted any more. The robot resumes from the store and sends the
-            # frame again; if it fails a second time it is rejected.
-            _log.exception("frame failed", extra=fields(session_id=name, seq=frame.seq, trace_id=_trace(frame)))
-            self.tally.count("frames", "failed")
-            self._poison[name] = frame.seq
-            self.sessions.abort(session, "INTERNAL", f"frame {frame.seq} failed: see the service's log")
-            self.sessions.drop(name)
+            self._frame_failed(session, frame)
             return
         if self._poison.get(name) == frame.seq:
             del self._poison[name]
-        self._note(session, frame, answer, time.monotonic() - start_s)
+        self._note(session, frame, answered.answer, answered.seconds + time.monotonic() - start_s)
+
+    def _settle_all(self) -> None:
+        while (answered := self._answered.oldest()) is not None:
+            self._settle(answered)
+
+    def _frame_failed(self, session: Session, frame: pb.Frame) -> None:
+        """The pipeline's state cannot be trusted any more.
+
+        The robot resumes from the store and sends the frame again; if it fails a second time it is rejected.
+        """
+        name = session.request.session_id
+        _log.exception("frame failed", extra=fields(session_id=name, seq=frame.seq, trace_id=_trace(frame)))
+        self.tally.count("frames", "failed")
+        self._poison[name] = frame.seq
+        self.sessions.abort(session, "INTERNAL", f"frame {frame.seq} failed: see the service's log")
+        self.sessions.drop(name)
 
     def _note(self, session: Session, frame: pb.Frame, answer: pb.Odometry, seconds: float) -> None:
         """Each frame at debug; one that is not mapped, or takes long, for whoever looks after the service."""
@@ -198,36 +232,43 @@ class SessionHost:
 
     # -- care ---------------------------------------------------------------------------------------------------
 
-    def look_after(self) -> None:
-        """After every message and while idle: commits and what became of them, sessions nobody came back to."""
+    def care(self) -> bool:
+        """One piece of what can wait until no robot waits for an answer. False: there is nothing left."""
+        answered = self._answered.oldest()
+        if answered is not None:
+            self._settle(answered)
+            return True
         for session in self.sessions.all():
-            try:
-                session.log.collect()
-                if session.finishing:
-                    if not session.log.waiting:
-                        self._endings.finished(session)
-                    continue
-                if session.leaving and not session.log.waiting:
-                    self._endings.handed(session)
-                if session.commit_due:
-                    session.commit()
-                while session.held and session.stream is not None and not session.log.full:
-                    self._take(session, session.held.popleft())
-            except FencedError as error:
-                self._endings.fenced(session, error)
-            except StoreError as error:
-                self._endings.store_failed(session, error)
-            except Exception:  # this session's error must not end the others'
-                self._endings.not_committed(session)
+            if session.commit_due and not session.finishing:
+                self._endings.guarded(session, session.commit)
+                return True
+        return False
+
+    def look_after(self) -> None:
+        """While there is time: what became of commits, sessions nobody came back to."""
+        for session in self.sessions.all():
+            self._endings.guarded(session, partial(self._look_after, session))
         self._keep_quotas()
         for session in self._taken_over.of(self.sessions.all(), self._committer.run):
             self.sessions.drop(session.request.session_id)
         self.sessions.evict()
 
+    def _look_after(self, session: Session) -> None:
+        session.log.collect()
+        if session.finishing:
+            if not session.log.waiting:
+                self._endings.finished(session)
+            return
+        if session.leaving and not session.log.waiting:
+            self._endings.handed(session)
+        while session.held and session.stream is not None and not session.log.full:
+            self._take(session, session.held.popleft())
+
     def _keep_quotas(self) -> None:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""
         if not self._quotas.looked(self._committer.run):
             return
+        self._settle_all()
         for session in self.sessions.all():
             if session.stream is None or session.finishing:
                 continue
@@ -250,6 +291,7 @@ class SessionHost:
 
     def drain(self) -> None:
         """All sessions: the commits are under way together, each robot goes as soon as its own is durable."""
+        self._settle_all()
         self._committer.give_up_after(self.config.commit.drain_s)
         sessions = sorted(self.sessions.all(), key=lambda session: session.stream is None)
         for session in sessions:
