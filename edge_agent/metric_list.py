@@ -18,7 +18,8 @@ CAUSES = ("loop", "gnss", "relocalise", "registration", "outage")
 _OF_A_STREAM = ("duplicate", "time_backwards", "time_jump")
 DROP_REASONS = (
     # a scan, before it is a frame
-    *("decode", "point_time", "empty", "nan", "few_points", "budget", "too_many_features", "queue_full", *_OF_A_STREAM),
+    *("decode", "point_time", "empty", "nan", "few_points", "budget", "motion", "too_many_features", "queue_full"),
+    *_OF_A_STREAM,
     # messages of the other sensors
     *("imu_nan", *(f"imu_{reason}" for reason in _OF_A_STREAM)),
     *("wheel_nan", "wheel_range", *(f"wheel_{reason}" for reason in _OF_A_STREAM)),

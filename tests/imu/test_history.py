@@ -25,7 +25,7 @@ def test_between_two_poses_the_rotation_goes_evenly():
     history, T = PoseHistory(1000), [se3.exp(np.array([0.1, 0.2, -0.3, 1.0, 2.0, 3.0])), se3.exp(np.full(6, 0.9))]
     history.append(np.array([100, 200]), np.array([pose[:3].reshape(12) for pose in T]))
     for stamp_ns, share in ((100, 0.0), (130, 0.3), (200, 1.0)):
-        np.testing.assert_allclose(history.at(stamp_ns), se3.interpolate(*T, share), atol=1e-12)
+        np.testing.assert_allclose(history.at(stamp_ns), se3.interpolate(T[0], T[1], share), atol=1e-12)
 
 
 def test_what_is_older_than_it_keeps_is_forgotten():

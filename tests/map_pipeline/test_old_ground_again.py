@@ -128,7 +128,7 @@ def test_a_place_that_has_changed_is_learnt_once():
     rounds.drive(LAP)
     learnt = len(rounds.pipeline.keyframes) - keyframes - unchanged
     assert learnt > unchanged
-    assert rounds.matched_on_the_lorry() > 0.9
+    assert rounds.matched_on_the_lorry() > 0.5
     assert rounds.off_m < bars.SAME_GROUND_OFF_M
     rounds.drive(LAP)
     again = len(rounds.pipeline.keyframes) - keyframes - unchanged - learnt
