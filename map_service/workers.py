@@ -29,6 +29,7 @@ from map_service.channel import (
     RobotStanding,
 )
 from map_service.config import ServiceConfig
+from map_service.live_answers import LiveAnswers
 from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
@@ -47,14 +48,16 @@ _log = logging.getLogger(__name__)
 class WorkerProcess:
     """One worker: its process, its socket, the streams it serves."""
 
-    def __init__(self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
+    def __init__(
+        self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics, live: LiveAnswers
+    ) -> None:
         self.index = index
         self.ready = asyncio.Event()
         self.streams: dict[int, RobotStream] = {}
         self.pinned: set[str] = set()
         self.drained = False
         self.beat_s = self.started_s = time.monotonic()
-        self._config, self._metrics = config, metrics
+        self._config, self._metrics, self._live = config, metrics, live
         ours, theirs = socket.socketpair()
         self._sock = ours
         spec = WorkerSpec(index, config, engine, os.getpid())
@@ -120,6 +123,7 @@ class WorkerProcess:
             return
         stream.opened = True
         if message.answer:
+            self._live.tell(stream.number, stream.session_id, message.body)
             if (seconds := stream.put_answer(message.body)) is not None:
                 self._metrics.answer_seconds.observe(seconds)
         else:
@@ -158,8 +162,9 @@ class WorkerProcess:
 class WorkerPool:
     """All workers. A session stays with its worker while that holds it in memory."""
 
-    def __init__(self, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
-        self._config, self._engine, self._metrics = config, engine, metrics
+    def __init__(self, config: ServiceConfig, engine: str, metrics: ServiceMetrics, live: LiveAnswers) -> None:
+        """live: hears every answer."""
+        self._config, self._engine, self._metrics, self._live = config, engine, metrics, live
         self._workers: list[WorkerProcess] = []
         self._tasks: list[asyncio.Task[None]] = []
         self._draining = False
@@ -168,10 +173,13 @@ class WorkerPool:
     async def start(self) -> None:
         """Start all and wait until they are warm. Raises RuntimeError when one cannot start."""
         for index in range(self._config.worker_count):
-            self._workers.append(WorkerProcess(index, self._config, self._engine, self._metrics))
+            self._workers.append(self._new(index))
             self._tasks.append(asyncio.create_task(self._keep(index)))
         self._tasks.append(asyncio.create_task(self._watch()))
         await asyncio.gather(*(self._until_ready(worker) for worker in self._workers))
+
+    def _new(self, index: int) -> WorkerProcess:
+        return WorkerProcess(index, self._config, self._engine, self._metrics, self._live)
 
     @property
     def ready(self) -> bool:
@@ -199,7 +207,7 @@ class WorkerPool:
             _log.error("worker died", extra=fields(worker=index, exit_code=worker.process.exitcode))
             failures = 0 if time.monotonic() - worker.started_s > 10 else failures + 1
             await asyncio.sleep(min(0.1 * 2**failures, _RESTART_CAP_S) if failures else 0)
-            self._workers[index] = WorkerProcess(index, self._config, self._engine, self._metrics)
+            self._workers[index] = self._new(index)
 
     def _end_streams(self, worker: WorkerProcess) -> None:
         detail = "draining: reconnect" if self._draining else "the worker of this session has died: reconnect"
