@@ -105,4 +105,4 @@ def _within(cloud: bytes, T_map_lidar: Array, centre_map: Array, radius_m: float
     points_lidar, intensity, _ = decode_cloud(cloud)
     points = points_lidar.astype(np.float64) @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]
     near = np.linalg.norm(points - centre_map, axis=1) <= radius_m
-    return np.column_stack([points[near], intensity[near]])
+    return np.column_stack([points[near], intensity[near].astype(np.float64)])

@@ -112,7 +112,7 @@ def pack_covariance(covariance: np.ndarray | None) -> bytes | None:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:  # known to rounding along some direction
         variances, axes = np.linalg.eigh(covariance)
-        factor = np.linalg.qr((axes * np.sqrt(np.maximum(variances, 0.0))).T, mode="r").T
+        factor = np.linalg.qr((axes * np.sqrt(np.maximum(variances, 0.0))).T).R.T
     return np.clip(factor[_LOWER] * _FACTOR_SCALE, -_FLOAT16_MAX, _FLOAT16_MAX).astype("<f2").tobytes()
 
 

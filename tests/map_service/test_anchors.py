@@ -144,7 +144,7 @@ def test_between_scans_the_pose_is_on_the_way_and_beyond_them_there_is_none(stor
     for version in (0, first.map_version):
         ends = [at(store, driven.key, answer.stamp_ns, version).T_map_lidar for answer in (first, second)]
         found = at(store, driven.key, first.stamp_ns + SECOND // 4, version)
-        np.testing.assert_allclose(found.T_map_lidar, se3.interpolate(*ends, 0.25), atol=SAME_POSE)
+        np.testing.assert_allclose(found.T_map_lidar, se3.interpolate(ends[0], ends[1], 0.25), atol=SAME_POSE)
         assert (found.seq_before, found.seq_after) == (first.seq, second.seq)
         check_covariance(found.covariance, 0.75 * first.covariance + 0.25 * second.covariance)
     with pytest.raises(NotKnownError, match="the session begins at"):
