@@ -111,36 +111,37 @@ class PoseWatch:
             names = known if self._looked else self._known
             rows = standings(connection, self._start.scope, names, self._newest_key)
             found = Found(rows, newest_key(connection))
-            left = _MOST_SCANS
+            room = _MOST_SCANS
             for row in rows:
                 one = known.get(row.session_id)
                 if one is None or one.key != row.key:
                     one = found.new[row.session_id] = self._begun(connection, row)
                 after_seq = one.track.next_after(row.last_seq)
-                if row.last_seq > after_seq and left > 0:
-                    page = min(PAGE_SCANS, left)
-                    args = row.key, row.session_id, after_seq, page, one.T_lidar_body
-                    scans = found.scans[row.session_id] = stored_scans(connection, *args)
-                    left -= len(scans)
-                    found.more |= len(scans) == page
-                found.more |= left == 0
-                if row.map_version > one.map_version:
+                scans: list[TrackedScan] = []
+                if row.last_seq > after_seq and room > 0:
+                    page = row.key, row.session_id, after_seq, min(PAGE_SCANS, room)
+                    scans = found.scans[row.session_id] = stored_scans(connection, *page, one.T_lidar_body)
+                    room -= len(scans)
+                if (scans[-1].seq if scans else after_seq) < row.last_seq:
+                    found.more = True
+                elif row.map_version > one.map_version:  # after all scans that were told in the versions before
                     known_map = KnownMap(row.key, row.session_id, one.map_version, row.map_version)
                     found.moved[row.session_id] = moved_keyframes(connection, known_map)
             return found
 
     def _begun(self, connection: Connection, row: Standing) -> Followed:
         """Where to begin with a session that is new here."""
-        known_version = row.map_version
+        T_lidar_body = read_lidar_body(connection, row.key)
         if row.session_id in self._known and not self._looked:
             after_seq = self._known[row.session_id]
-            known_version = versions(connection, row.key).of(after_seq)
         elif self._start.from_start or (self._newest_key is not None and row.key > self._newest_key):
             after_seq = 0
         else:
-            after_seq = row.last_seq
+            track = PoseTrack(row.last_seq, row.last_seq, self._backlog)
+            return Followed(row.key, track, T_lidar_body, row.map_version)
         track = PoseTrack(after_seq, row.last_seq, self._backlog)
-        return Followed(row.key, track, read_lidar_body(connection, row.key), known_version)
+        known_version = versions(connection, row.key).of(max(after_seq, 1))
+        return Followed(row.key, track, T_lidar_body, known_version)
 
     def take(self, found: Found) -> Iterator[pb.WatchPosesResponse]:
         """What a look has found, as far as it is new."""
@@ -160,7 +161,8 @@ class PoseWatch:
                 yield self._response(poses=poses)
             for moved in found.moved.get(session_id, ()):
                 yield self._response(moved=moved)
-            one.map_version = row.map_version
+            if session_id in found.moved:
+                one.map_version = row.map_version
         ended = {
             name for name, row in there.items() if row.finished and self._followed[name].track.last >= row.last_seq
         }

@@ -21,10 +21,16 @@ from splitslam.wire import types_pb2 as types
 from tests.conftest import ROOT
 from tests.map_service.fakes import FINAL_SHIFT_M, POINTS_LIDAR, payload
 from tests.map_service.harness import Robot7, Service, frame, hello, new_run
-from tests.map_service.watching import Follower, follow, kinds, of
+from tests.map_service.watching import WAIT_S, Follower, follow, kinds, of
 
 Connect = Callable[..., Robot7]
 LATE_S = 3.0  # the store's way: a commit a second, a look each half second, and a busy machine
+
+
+@pytest.fixture
+def service(shared_service: Service) -> Service:
+    """One for all that leave it as it is; what is asked for without a name is asked for by site."""
+    return shared_service
 
 
 @pytest.fixture
@@ -172,8 +178,14 @@ def test_a_correction_is_told_with_the_keyframes_that_it_moved_and_later_scans_h
 
 
 def test_a_service_that_is_killed_and_one_that_drains_cost_no_scan_and_give_none_twice(
-    service: Service, connect: Connect, client: MapClient, session_id: str
+    start_service: Callable[..., Service], connect: Connect, session_id: str
 ) -> None:
+    service = start_service()
+    with MapClient(service.address) as client:
+        check_nothing_is_missed(service, connect, client, session_id)
+
+
+def check_nothing_is_missed(service: Service, connect: Connect, client: MapClient, session_id: str) -> None:
     robot = connect(service)
     drive(robot, 1, 7)
     follower = follow(client, session_id)
@@ -202,9 +214,10 @@ def test_a_service_that_is_killed_and_one_that_drains_cost_no_scan_and_give_none
 def test_a_call_that_is_made_again_goes_on_after_its_cursor(
     service: Service, connect: Connect, stub: rpc.PoseServiceStub, session_id: str
 ) -> None:
-    robot = connect(service)
+    here = pb.SessionSelection(site_id="again")
+    robot = connect(service, site_id="again")
     drive(robot, 1, 12)
-    first = stub.WatchPoses(pb.WatchPosesRequest(from_start=True))
+    first = stub.WatchPoses(pb.WatchPosesRequest(sessions=here, from_start=True))
     seqs, cursor = [], ""
     for response in first:
         seqs += [pose.seq for pose in response.poses]
@@ -214,11 +227,11 @@ def test_a_call_that_is_made_again_goes_on_after_its_cursor(
     first.cancel()
     drive(robot, 13, 14)
     bye(robot, 14)  # ended while nobody looked
-    whole = Robot7(service.address, hello(new_run(), robot_id="meanwhile"))
+    whole = Robot7(service.address, hello(new_run(), robot_id="meanwhile", site_id="again"))
     drive(whole, 1, 2)
     bye(whole, 2)
     whole.close()
-    again = stub.WatchPoses(pb.WatchPosesRequest(cursor=cursor, after_seq={session_id: 12}))
+    again = stub.WatchPoses(pb.WatchPosesRequest(sessions=here, cursor=cursor, after_seq={session_id: 12}))
     told: list[tuple[str, int]] = []
     for response in again:
         told += [(pose.session_id.partition("/")[0], pose.seq) for pose in response.poses]
@@ -304,20 +317,21 @@ def test_what_happens_is_told_in_order_with_its_size_and_only_once_durable(
 def test_who_comes_back_with_a_cursor_has_missed_nothing_that_is_kept(
     service: Service, connect: Connect, stub: rpc.PoseServiceStub
 ) -> None:
-    robot = connect(service)
+    here = pb.SessionSelection(site_id="back")
+    robot = connect(service, site_id="back")
     drive(robot, 1, 7)
     robot.wait_durable(6)
-    call = stub.Events(pb.EventsRequest(from_start=True))
+    call = stub.Events(pb.EventsRequest(sessions=here, from_start=True))
     first = next(call)
     call.cancel()
     assert kinds(first.events)[0] == "opened"
     bye(robot, 7)
-    other = Robot7(service.address, hello(new_run(), robot_id="other"))
+    other = Robot7(service.address, hello(new_run(), robot_id="other", site_id="back"))
     drive(other, 1, 1)
     bye(other, 1)
     other.close()
     told, seen = list(first.events), first.cursor
-    call = stub.Events(pb.EventsRequest(cursor=first.cursor))
+    call = stub.Events(pb.EventsRequest(sessions=here, cursor=first.cursor))
     for response in call:
         told += response.events
         seen = response.cursor
@@ -330,7 +344,7 @@ def test_who_comes_back_with_a_cursor_has_missed_nothing_that_is_kept(
         by_session.setdefault(event.session_id, []).append(event.number)
     assert len(by_session) == 2
     assert all(numbers == list(range(1, len(numbers) + 1)) for numbers in by_session.values())
-    quiet = next(stub.Events(pb.EventsRequest(cursor=seen)))
+    quiet = next(stub.Events(pb.EventsRequest(sessions=here, cursor=seen)))
     assert not quiet.events
 
 
@@ -428,19 +442,50 @@ def test_what_cannot_be_asked_is_one_line(
     assert error.value.code().name == code  # type: ignore[attr-defined]
 
 
+def test_who_follows_from_the_start_of_a_session_that_has_ended_is_told_what_moved_after_its_scans(
+    service: Service, connect: Connect, client: MapClient, session_id: str
+) -> None:
+    robot = connect(service)
+    drive(robot, 1, 7)
+    robot.ask(frame(8, payload("correct", by_m=0.4)))
+    for first in range(9, 450, 20):  # more than a page of scans
+        drive(robot, first, first + 19)
+    bye(robot, first + 19)
+    follower = follow(client, session_id)
+    follower.end()
+    assert follower.seqs() == list(range(1, first + 20))
+    assert not follower.messages[-2].poses
+    (moved,) = follower.moved
+    assert (moved.move.map_version, moved.move.translation_m) == (3, FINAL_SHIFT_M)
+    assert [k.keyframe for k in moved.keyframes] == list(range((first + 19 + 4) // 5))
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["while it drives", "once it has ended"])
 def test_the_example_of_the_documentation_moves_what_was_seen(
-    service: Service, connect: Connect, session_id: str
+    service: Service, connect: Connect, session_id: str, *, late: bool
 ) -> None:
     robot = connect(service)
     drive(robot, 1, 7)
     robot.wait_durable(6)
-    command = [sys.executable, "examples/reanchor.py", service.address, session_id]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as example:
-        time.sleep(1.0)
+
+    def end() -> None:
         robot.ask(frame(8, payload("correct", by_m=0.4)))
         drive(robot, 9, 9)
         bye(robot, 9)
-        printed, _ = example.communicate(timeout=20)
+
+    if late:
+        end()
+    command = [sys.executable, "examples/reanchor.py", service.address, session_id]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as example:
+        if not late:
+            time.sleep(1.0)
+            end()
+        printed, _ = example.communicate(timeout=WAIT_S)
     assert example.returncode == 0
     places = [float(line.split()[1]) for line in printed.splitlines()]
     assert places == pytest.approx([1.4 + FINAL_SHIFT_M, 6.4 + FINAL_SHIFT_M])
+
+
+def test_the_page_shows_the_example_as_it_is() -> None:
+    example = (ROOT / "examples" / "reanchor.py").read_text()
+    assert f"```python\n{example}```" in (ROOT / "docs" / "api.md").read_text()
