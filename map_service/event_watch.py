@@ -35,12 +35,7 @@ class EventWatch:
         self._newest_key = cursor.newest_key if cursor else 0 if from_start else None
         self.done = False  # every session that was named has ended, and all of it was told
         self._numbers: dict[str, int] = dict(cursor.numbers) if cursor else {}
-        self.lost = 0
-
-    @property
-    def cursor(self) -> Cursor:
-        """As of what was taken."""
-        return Cursor(self._newest_key or 0, self._numbers)
+        self._lost = 0
 
     def look(self) -> Found:
         """Asks the store, in one state of it. Raises StoreError."""
@@ -73,7 +68,7 @@ class EventWatch:
         for row in found.standings:
             known, new = self._known(row), found.events.get(row.session_id, [])
             if new:
-                self.lost += new[0][0] - known - 1
+                self._lost += new[0][0] - known - 1
                 known = new[-1][0]
             self._numbers[row.session_id] = known
             if new:
@@ -82,6 +77,7 @@ class EventWatch:
         told = {row.session_id for row in found.standings if row.finished and self._known(row) == row.events}
         if self._scope.session_ids:
             self.done = told == there
+            self._newest_key = self._newest_key or found.newest_key
         elif not found.more:  # then all up to the newest that have ended are told, and need not be remembered
             self._newest_key = found.newest_key
             self._numbers = {name: number for name, number in self._numbers.items() if name in there - told}
@@ -91,7 +87,8 @@ class EventWatch:
         return self._response([])
 
     def _response(self, events: list[pb.Event]) -> pb.EventsResponse:
-        return pb.EventsResponse(events=events, cursor=self.cursor.text(), lost=self.lost)
+        cursor = "" if self._newest_key is None else Cursor(self._newest_key, self._numbers).text()
+        return pb.EventsResponse(events=events, cursor=cursor, lost=self._lost)
 
 
 def _event(session_id: str, number: int, content: bytes) -> pb.Event:

@@ -44,7 +44,7 @@ class PoseFront(StoreFront, rpc.PoseServiceServicer):
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"after_seq: expected at most {MOST_SESSIONS}")
         try:
             start = Start(scope, Cursor.parse(request.cursor), dict(request.after_seq), request.from_start)
-            watch = PoseWatch(self._store, start, self._watches.backlog)
+            watch = PoseWatch(self._store, start, self._watches.backlog, self._watches.count_dropped)
             async for response in self._watches.poses(watch, caller, self._live, context):
                 yield response
         except CursorError as error:

@@ -22,11 +22,11 @@ class TrackedScan:
 
 
 class PoseTrack:
-    """`last` is the newest scan that was passed on; `dropped` counts those left out."""
+    """`last` is the newest scan that was passed on, or left out."""
 
     def __init__(self, last: int, paced_until: int, backlog: int) -> None:
         """Goes on after scan `last`. Up to `paced_until` nothing is left out; beyond it no more than `backlog` wait."""
-        self.last, self.dropped = last, 0
+        self.last = last
         self._paced_until, self._backlog = paced_until, backlog
         self._live: deque[TrackedScan] = deque()
         self._before: int | None = None  # the answer before the first of `_live`, on the same stream
@@ -67,11 +67,10 @@ class PoseTrack:
         """After which scan to go on, as the store has them up to `stored_seq`: not too far behind."""
         return max(self.last, stored_seq - self._backlog) if self.last >= self._paced_until else self.last
 
-    def leave_out(self, stored_seq: int) -> None:
-        """Goes on after `next_after`."""
-        after = self.next_after(stored_seq)
-        self.dropped += after - self.last
-        self.last = after
+    def leave_out(self, stored_seq: int) -> int:
+        """Goes on after `next_after`; returns how many scans that leaves out."""
+        before, self.last = self.last, self.next_after(stored_seq)
+        return self.last - before
 
     def stored(self, scans: Iterable[TrackedScan]) -> list[pb.ScanPose]:
         """Scans out of the store, the next ones after `last`, without a gap; then those that were waiting for them."""

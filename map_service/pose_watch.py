@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,6 +54,10 @@ class Followed:
     T_lidar_body: Array
     map_version: int
 
+    def has_all_of(self, row: Standing) -> bool:
+        """Was everything told that the store has of it?"""
+        return self.track.last >= row.last_seq and self.map_version == row.map_version
+
 
 @dataclass(slots=True, eq=False)
 class Found:
@@ -70,20 +74,16 @@ class Found:
 class PoseWatch:
     """`look` and `take` by turns; `heard` whenever a frame is answered in this replica."""
 
-    def __init__(self, store: Store, start: Start, backlog: int) -> None:
-        self._store, self._start, self._backlog = store, start, backlog
+    def __init__(self, store: Store, start: Start, backlog: int, count_dropped: Callable[[int], None]) -> None:
+        """backlog: scans of a session that may wait. count_dropped: hears how many more were left out."""
+        self._store, self._start, self._backlog, self._count_dropped = store, start, backlog, count_dropped
         self._followed: dict[str, Followed] = {}
         self._known: Mapping[str, int] = start.known
         # at the last look: what has a later one was opened since
         self._newest_key = start.cursor.newest_key if start.cursor else None
         self._looked = False
         self.done = False  # every session that was named has ended, and all of it was told
-        self._dropped = 0  # of sessions that are no longer followed
-
-    @property
-    def dropped(self) -> int:
-        """Scans left out so far."""
-        return self._dropped + sum(one.track.dropped for one in self._followed.values())
+        self._dropped = 0
 
     # -- live ---------------------------------------------------------------------------------------------------
 
@@ -146,16 +146,17 @@ class PoseWatch:
     def take(self, found: Found) -> Iterator[pb.WatchPosesResponse]:
         """What a look has found, as far as it is new."""
         for session_id, one in found.new.items():
-            self._forget(session_id)
             self._followed[session_id] = one
         news = bool(found.new)
         self._newest_key, self._looked = found.newest_key, True
         there = {row.session_id: row for row in found.standings}
         for session_id in [name for name in self._followed if name not in there]:
-            self._forget(session_id)
+            del self._followed[session_id]
         for session_id, row in there.items():
             one = self._followed[session_id]
-            one.track.leave_out(row.last_seq)
+            if dropped := one.track.leave_out(row.last_seq):
+                self._dropped += dropped
+                self._count_dropped(dropped)
             if poses := one.track.stored(found.scans.get(session_id, ())):
                 news = True
                 yield self._response(poses=poses)
@@ -163,29 +164,24 @@ class PoseWatch:
                 yield self._response(moved=moved)
             if session_id in found.moved:
                 one.map_version = row.map_version
-        ended = {
-            name for name, row in there.items() if row.finished and self._followed[name].track.last >= row.last_seq
-        }
+        ended = {name for name, row in there.items() if row.finished and self._followed[name].has_all_of(row)}
         if self._start.scope.session_ids:
             self.done = ended == set(there)
         else:
             for session_id in ended:
-                self._forget(session_id)
+                del self._followed[session_id]
         if news:
             yield self.alive()
 
-    def _forget(self, session_id: str) -> None:
-        if (one := self._followed.pop(session_id, None)) is not None:
-            self._dropped += one.track.dropped
-
     def alive(self) -> pb.WatchPosesResponse:
         """A sign of life, and what the caller has by now."""
-        numbers = {session_id: one.track.last for session_id, one in self._followed.items()}
         response = self._response()
-        response.cursor = Cursor(self._newest_key or 0, numbers).text()
+        if self._newest_key is not None:
+            numbers = {session_id: one.track.last for session_id, one in self._followed.items()}
+            response.cursor = Cursor(self._newest_key, numbers).text()
         return response
 
     def _response(
         self, poses: list[pb.ScanPose] | None = None, moved: pb.MovedKeyframes | None = None
     ) -> pb.WatchPosesResponse:
-        return pb.WatchPosesResponse(poses=poses or (), moved=moved, dropped=self.dropped)
+        return pb.WatchPosesResponse(poses=poses or (), moved=moved, dropped=self._dropped)

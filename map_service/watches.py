@@ -59,7 +59,6 @@ class Watches:
             with live.heard_by(heard):
                 while not watch.done:
                     await self._check(caller, context)
-                    dropped = watch.dropped
                     if turn.due and (found := await self._ask(watch.look, turn, context)) is not None:
                         for response in watch.take(found):
                             yield turn.spoken(response)
@@ -67,7 +66,6 @@ class Watches:
                     wake.clear()
                     for response in watch.take_live():
                         yield turn.spoken(response)
-                    self.metrics.watch_dropped.inc(by=watch.dropped - dropped)
                     if turn.silent_s > _ALIVE_S:
                         yield turn.spoken(watch.alive())
                     await turn.wait(wake)
@@ -125,6 +123,10 @@ class Watches:
 
     def _show(self, call: str) -> None:
         self.metrics.watchers.set(sum(open_call == call for open_call in self._open.values()), call)
+
+    def count_dropped(self, scans: int) -> None:
+        """A reader is too slow for them."""
+        self.metrics.watch_dropped.inc(by=scans)
 
     def drain(self) -> None:
         """All of them end: their callers go on at another replica."""
