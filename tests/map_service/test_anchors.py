@@ -19,7 +19,7 @@ from map_service.types import MapAnswer, State
 from splitslam import se3
 from tests.map_pipeline.made_walks import SECOND
 from tests.map_pipeline.test_settling import made
-from tests.map_service.entries import OPENING, entry
+from tests.map_service.entries import OPENING, entry, with_move
 from tests.tolerances import SAME_POSE, STORED_COVARIANCE
 
 DRIFT = np.array([0, 0, 0, 0.0, 0.012, 0])
@@ -196,14 +196,6 @@ def test_a_store_with_versions_is_sound_and_damage_to_them_is_found(store: Store
 # -- bounds -------------------------------------------------------------------------------------------------------
 
 
-def moved(version: int, keyframes: int) -> list:
-    from map_service.happenings import Happened, MapMove
-    from map_service.types import Cause
-
-    poses = np.tile(np.eye(4), (keyframes, 1, 1))
-    return [Happened(version, version, MapMove(version, version, Cause.GNSS, 0.02, 0.0, poses))]
-
-
 def test_old_versions_and_events_make_room_and_the_bytes_they_took_are_given_back(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -214,8 +206,7 @@ def test_old_versions_and_events_make_room_and_the_bytes_they_took_are_given_bac
     sizes = []
     for version in range(2, 13):
         made = entry(version - 2, version - 1, keyframes=(0,) if version == 2 else (), events=[b"e"])
-        made = replace(made, commit=replace(made.commit, happened=moved(version, 10), map_version=version))
-        store.commit(opened.key, 1, made)
+        store.commit(opened.key, 1, with_move(made, version, 10))
         row = Catalog(store).session(OPENING.session_id)
         assert row is not None
         sizes.append(row.bytes)
@@ -238,8 +229,7 @@ def test_versions_of_large_maps_are_bounded_by_their_bytes(store: Store, monkeyp
     opened = store.open_session(OPENING)
     for version in range(2, 8):
         made = entry(version - 2, version - 1, keyframes=(0,) if version == 2 else ())
-        made = replace(made, commit=replace(made.commit, happened=moved(version, 10), map_version=version))
-        store.commit(opened.key, 1, made)
+        store.commit(opened.key, 1, with_move(made, version, 10))
     v = schema.map_versions
     with store.reading() as connection:
         kept = connection.execute(select(v.c.version).where(v.c.poses.is_not(None))).scalars().all()

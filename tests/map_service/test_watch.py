@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import pytest
 
@@ -17,8 +16,7 @@ from map_service.pose_watch import PoseWatch, Start
 from map_service.store import Opening, Store
 from map_service.types import State
 from splitslam.wire import pose_pb2 as pb
-from tests.map_service.entries import entry
-from tests.map_service.test_anchors import moved
+from tests.map_service.entries import entry, with_move
 
 NOBODY: dict[str, int] = {}
 ROBOT_FILE = "imu: {topic: null}"
@@ -77,9 +75,7 @@ def test_many_scans_come_in_pages_and_what_moved_after_all_of_them(
     for name in ("r/1", "r/2"):
         key = opened(store, name)
         commit(store, key, 1, 10)
-        made = entry(10, 11, finished=name == "r/2")
-        made = replace(made, commit=replace(made.commit, happened=moved(2, 1), map_version=2))
-        store.commit(key, 1, made)
+        store.commit(key, 1, with_move(entry(10, 11, finished=name == "r/2"), 2))
     told: dict[str, list[int]] = {"r/1": [], "r/2": []}
     moves = 0
     watch = pose_watch_of(store, names=told, from_start=True)
