@@ -12,13 +12,13 @@ from google.protobuf.message import DecodeError as WireError
 
 from map_service.answered import Answered, AnsweredFrames
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
+from map_service.endings import Endings
 from map_service.engine import Engine
 from map_service.held import HeldSessions
 from map_service.hello import RefusedError
-from map_service.messages import refusal_word
 from map_service.opening import Opener
 from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
@@ -48,6 +48,7 @@ class SessionHost:
         self.sessions = HeldSessions(config.limits, send)
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
         self._send = send
+        self._endings = Endings(self.sessions, store, self.tally, send)
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
         self._opener = Opener(self.sessions, engine, store, self._committer, self._quotas, self.tally, self.cpu_ns)
@@ -85,31 +86,25 @@ class SessionHost:
         try:
             session = self._opener.open(message.hello)
         except RefusedError as refusal:
-            self._refuse(message.stream, message.session_id, refusal.message)
+            self._endings.refused(message.stream, message.session_id, refusal.message)
         except FinishedError:
             detail = "the session has ended and is read-only"
             refusal = pb.Refused(reason=pb.REFUSED_REASON_FINISHED, detail=detail)
-            self._refuse(message.stream, message.session_id, refusal)
+            self._endings.refused(message.stream, message.session_id, refusal)
         except StoreError as error:
             detail = f"store: {error}"[:200]
             refusal = pb.Refused(reason=pb.REFUSED_REASON_STORE, detail=detail, retry_after_ms=STORE_RETRY_MS)
-            self._refuse(message.stream, message.session_id, refusal)
+            self._endings.refused(message.stream, message.session_id, refusal)
         except StateVersionError as error:  # in the middle of an upgrade the robot is better off elsewhere
             detail = f"the session is of another release: {error}"
             refusal = pb.Refused(reason=pb.REFUSED_REASON_VERSION, detail=detail, retry_after_ms=VERSION_RETRY_MS)
-            self._refuse(message.stream, message.session_id, refusal)
+            self._endings.refused(message.stream, message.session_id, refusal)
         except Exception:
             _log.exception("session cannot be opened", extra=fields(session_id=message.session_id))
             self.sessions.drop(message.session_id)
             self._send(Abort(message.stream, "INTERNAL", "the session cannot be opened: see the service's log"))
         else:
             self._attach(session, message.stream)
-
-    def _refuse(self, stream: int, session_id: str, refused: pb.Refused) -> None:
-        reason = refusal_word(refused)
-        self.tally.count("refused", reason)
-        _log.warning("refused", extra=fields(session_id=session_id, reason=reason, detail=refused.detail))
-        self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))
 
     def _attach(self, session: Session, stream: int) -> None:
         self.sessions.attach(session, stream)
@@ -164,9 +159,9 @@ class SessionHost:
         except SequenceGapError as gap:
             self.sessions.abort(session, "ABORTED", str(gap))
         except FencedError as error:
-            self._fenced(session, error)
+            self._endings.fenced(session, error)
         except StoreError as error:
-            self._store_failed(session, error)
+            self._endings.store_failed(session, error)
 
     def _frame(self, session: Session, frame: pb.Frame) -> None:
         start_s = time.monotonic()
@@ -190,7 +185,7 @@ class SessionHost:
         try:
             session.settle()
         except StoreError as error:
-            self._store_failed(session, error)
+            self._endings.store_failed(session, error)
             return
         except Exception:
             self._frame_failed(session, frame)
@@ -232,24 +227,8 @@ class SessionHost:
     def _bye(self, session: Session, bye: pb.Bye) -> None:
         if bye.last_seq != session.log.applied_seq:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
+        self._poison.pop(session.request.session_id, None)
         session.finish()
-
-    def _say_finished(self, session: Session) -> None:
-        """Once the last commit is durable; a store that cannot be read just now is asked again."""
-        try:
-            row = Catalog(self.store).session(session.request.session_id)
-        except StoreError:
-            return
-        if row is None:
-            raise FencedError("the session was deleted")
-        if session.stream is not None:
-            finished = pb.Finished(
-                mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
-            )
-            self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
-        self._poison.pop(row.session_id, None)
-        _log.info("session finished", extra=fields(session_id=row.session_id, mapped=row.frames))
-        self.sessions.drop(session.request.session_id)
 
     # -- care ---------------------------------------------------------------------------------------------------
 
@@ -278,10 +257,10 @@ class SessionHost:
         session.log.collect()
         if session.finishing:
             if not session.log.waiting:
-                self._say_finished(session)
+                self._endings.finished(session)
             return
         if session.leaving and not session.log.waiting:
-            self._handed(session)
+            self._endings.handed(session)
         while session.held and session.stream is not None and not session.log.full:
             self._take(session, session.held.popleft())
 
@@ -290,13 +269,11 @@ class SessionHost:
         try:
             action()
         except FencedError as error:
-            self._fenced(session, error)
+            self._endings.fenced(session, error)
         except StoreError as error:
-            self._store_failed(session, error)
+            self._endings.store_failed(session, error)
         except Exception:
-            _log.exception("commit failed", extra=fields(session_id=session.request.session_id))
-            self.sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
-            self.sessions.drop(session.request.session_id)
+            self._endings.not_committed(session)
 
     def _keep_quotas(self) -> None:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""
@@ -312,23 +289,7 @@ class SessionHost:
                 session.commit()
                 stream = session.stream
                 self.sessions.detach(stream)
-                self._refuse(stream, session.request.session_id, refusal.message)
-
-    def _fenced(self, session: Session, error: Exception) -> None:
-        self.tally.count("fenced")
-        _log.warning("fenced", extra=fields(session_id=session.request.session_id, detail=str(error)))
-        self.sessions.abort(session, "ABORTED", f"fenced: {error}")
-        self.sessions.drop(session.request.session_id)
-
-    def _store_failed(self, session: Session, error: Exception) -> None:
-        """It could not be read: the robot comes again.
-
-        Let go is only a session with a commit that is lost, or one half way through a frame, looking for a cloud.
-        """
-        _log.error("store failed", extra=fields(session_id=session.request.session_id, detail=str(error)))
-        self.sessions.abort(session, "UNAVAILABLE", "the store does not answer")
-        if session.log.broken or not session.settled:
-            self.sessions.drop(session.request.session_id)
+                self._endings.refused(stream, session.request.session_id, refusal.message)
 
     # -- handing over -------------------------------------------------------------------------------------------
 
@@ -338,12 +299,6 @@ class SessionHost:
         if session is not None:  # else its stream was ended meanwhile
             session.commit()
             session.leaving = True
-
-    def _handed(self, session: Session) -> None:
-        """Everything is durable: what the robot still sends on this stream is for the next replica."""
-        if session.stream is not None:
-            self._send(Handed(session.stream, session.log.durable_seq))
-            self.sessions.detach(session.stream)
 
     def drain(self) -> None:
         """All sessions: the commits are under way together, each robot goes as soon as its own is durable."""
@@ -356,8 +311,8 @@ class SessionHost:
             try:
                 session.log.flush(self.config.commit.drain_s + FLUSH_S)
                 if session.finishing:
-                    self._say_finished(session)
-                self._handed(session)
+                    self._endings.finished(session)
+                self._endings.handed(session)
             except (FencedError, StoreError) as error:
                 name = session.request.session_id
                 _log.error("not committed at drain", extra=fields(session_id=name, detail=str(error)))
