@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_agent.reader import TimedEvent
+from edge_agent.sources import TimedEvent
 from edge_agent.types import MotionSource
 from splitslam import se3
 from splitslam.features import Motion
@@ -30,9 +30,13 @@ class StartAfter:
     stamp_ns: int
     skipped: int = 0
 
-    def events(self, events: Iterator[TimedEvent]) -> Iterator[TimedEvent]:
-        """What a recording holds after that frame, and the samples just before it."""
-        for arrival_ns, event in events:
+    def events(self, events: Iterator[TimedEvent | None]) -> Iterator[TimedEvent | None]:
+        """What a source holds after that frame, and the samples just before it."""
+        for timed in events:
+            if timed is None:
+                yield None
+                continue
+            event = timed[1]
             if isinstance(event, Scan):
                 if event.stamp_ns <= self.stamp_ns:
                     self.skipped += 1
@@ -41,7 +45,7 @@ class StartAfter:
                 newest_ns = event.stamp_ns if isinstance(event, GnssFix) else int(event.stamps_ns[-1])
                 if newest_ns <= self.stamp_ns - _LEAD_NS:
                     continue
-            yield arrival_ns, event
+            yield timed
 
 
 class UnseenMotion:
