@@ -217,7 +217,8 @@ class _Run:
 
         def status() -> str:
             link = "connected" if self._uplink.anchored else "not connected"
-            return f"{state_name(loop.state)}; {link}, {self._uplink.kept} frames kept"
+            said = f"{state_name(loop.state)}; {link}, {self._uplink.kept} frames kept"
+            return "; ".join(filter(None, (said, self._source.status())))
 
         pulses = (self._reader.pulse, loop.pulse)
         watchdog = Watchdog(self._notifier, pulses, lambda: self._sink.read, status)

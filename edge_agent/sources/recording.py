@@ -108,6 +108,10 @@ class Recording:
                     continue
                 yield arrival_ns, event
 
+    def status(self) -> str:
+        """Nothing: a recording is what it is."""
+        return ""
+
     def close(self) -> None:
         """Closes the file when `events` was not read to its end."""
         self._bag.close()

@@ -74,6 +74,10 @@ class Source(Protocol):
         """
         ...
 
+    def status(self) -> str:
+        """What of the sensors needs looking at now, for systemd's status line: `imu silent for 12 s`; "" for nothing."""
+        ...
+
     def close(self) -> None:
         """Ends `events` at once, of a live source from any thread. Twice is no error."""
         ...

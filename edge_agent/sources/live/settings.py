@@ -74,7 +74,7 @@ class LiveConfig(Model):
 
     imu: null: an Ouster's own, with another LiDAR none. gnss: null: none.
     clock: auto: a sensor's own time where its packets say that it is locked to GPS or PTP, else when they come in;
-    gps, ptp: the sensors' own time in any case; host: never.
+    gps, ptp: that one, and a sensor that is not locked to it is said to be wrong; host: always when they come in.
     apart_s: sensors whose clocks differ by more are said to be apart. silent_s: without a message for so long a sensor
     is lost. receive_bytes: the system's buffer of each UDP port, as far as it grants it.
     """
