@@ -86,9 +86,11 @@ class Source(Protocol):
 def open_source(config: SourceConfig, robot: Robot, metrics: EdgeMetrics) -> Source:
     """The source that the configuration names. Raises InputError (one line) for what the user can mend."""
     if config.live is not None:
-        from edge_agent.sources.live import open_live
+        from edge_agent.sources.live.opening import open_live
 
-        return open_live(config.live, robot, metrics)
+        live = open_live(config.live, robot)
+        metrics.live_from(live.packets, lambda: live.presence.losses, live.clocks)
+        return live
     from edge_agent.sources.recording import open_recording
 
     assert config.recording is not None  # the configuration has exactly one
