@@ -26,7 +26,7 @@ from splitslam.logs import fields
 _log = logging.getLogger(__name__)
 
 SETTLE_NS = 1_000_000_000  # of a sensor's first messages, before it is known how late they come
-_PATIENCE_NS = 3_000_000_000  # with sensors that do not come
+_PATIENCE_NS = 2_000_000_000  # with sensors that do not come, or not again
 _BLOCK_NS = 1_000_000_000
 _BLOCKS = 8
 _SLEW = 200e-6  # crystals differ by up to 100 ppm; faster than that no offset moves, so that no stamp goes back
@@ -91,6 +91,10 @@ class Lateness:
     def settle(self) -> None:
         """Takes what has been heard so far as enough."""
         self._offset, self._moved_ns = float(min(self._least)), self._block_ns
+
+    def waited_ns(self, now_ns: int) -> int:
+        """Since the first message; 0 before it."""
+        return 0 if self._first_ns is None else now_ns - self._first_ns
 
     def _move(self, arrival_ns: int) -> None:
         room = _SLEW * max(arrival_ns - self._moved_ns, 0)
@@ -157,22 +161,22 @@ class RunClock:
         """The clock of that name; sensors in one housing share one."""
         return self.clocks.setdefault(name, SensorClock(name, Lateness()))
 
-    def ready(self, clock: SensorClock, arrival_ns: int) -> bool:
+    def ready(self, clock: SensorClock, now_ns: int) -> bool:
         """Whether stamps of this clock can be told in the run's time; until then its messages have to wait."""
         if clock.chosen:
             return True
-        if not self._decided and not self._decide(arrival_ns):
-            return False
-        if clock.lateness.settled:
+        if not clock.lateness.settled and clock.lateness.waited_ns(now_ns) >= _PATIENCE_NS:
+            clock.lateness.settle()  # it has fallen silent again
+        if clock.lateness.settled and (self._decided or self._decide(now_ns)):
             self._choose(clock)
         return bool(clock.chosen)
 
-    def _decide(self, arrival_ns: int) -> bool:
+    def _decide(self, now_ns: int) -> bool:
         """The reference, once all that it may be have settled, or have had their time."""
         if self._began_ns is None:
-            self._began_ns = arrival_ns
+            self._began_ns = now_ns
         heard = [clock for name in self._waits_for if (clock := self.clock(name)).lateness.settled]
-        if len(heard) < len(self._waits_for) and arrival_ns - self._began_ns < _PATIENCE_NS:
+        if len(heard) < len(self._waits_for) and now_ns - self._began_ns < _PATIENCE_NS:
             return False
         self._reference, self._decided = self._best(heard), True
         return True

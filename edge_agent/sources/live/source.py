@@ -143,18 +143,22 @@ class LiveSource:
                 for reading in input.feed.quiet():
                     yield from self._pass(reading, input.came_ns)
             input.port.tend()
+        yield from self._release(now_ns)
         self.presence.look(now_ns)
 
     def _pass(self, reading: Reading, arrival_ns: int) -> Iterator[TimedEvent]:
         self.presence.heard(reading.sensor, arrival_ns)
         self._held.append((arrival_ns, reading.clock.age, reading))
-        if not self.clocks.ready(reading.clock, arrival_ns):
-            return
+        if self.clocks.ready(reading.clock, arrival_ns):
+            yield from self._release(arrival_ns)
+
+    def _release(self, now_ns: int) -> Iterator[TimedEvent]:
+        """What has waited for its clock, and needs to no more."""
         held, self._held = self._held, deque()
         for came_ns, age, message in held:
             if age != message.clock.age:
                 self.dropped["clock_changed"] += 1
-            elif self.clocks.ready(message.clock, arrival_ns):
+            elif self.clocks.ready(message.clock, now_ns):
                 yield self._emitted(came_ns, message)
             else:
                 self._held.append((came_ns, age, message))
