@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.settings import PipelineSettings
-from edge_agent.sources.live.settings import LiveConfig
+from edge_agent.live_settings import LiveConfig
 from splitslam.config import Model
 from splitslam.security.settings import ClientTls
 

@@ -15,12 +15,18 @@ import pytest
 
 from edge_agent.sources.live.arrivals import ArrivalClock
 from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
-from edge_agent.sources.live.settings import Serial, Tcp
+from edge_agent.live_settings import Serial, Tcp
 from splitslam.errors import InputError
 
 
 def udp_port(sender: str | None = None, receive_bytes: int = 2**20) -> UdpPort:
     return UdpPort("source.live.lidar.udp.port", ("127.0.0.1", 0), receive_bytes, sender, ArrivalClock())
+
+
+def is_ready(port: Port) -> bool:
+    """As the source asks."""
+    reads, writes, _ = select.select([port.fileno], [port.fileno] if port.writes else [], [], 0.02)
+    return bool(reads or writes)
 
 
 def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.0) -> bytes:
@@ -29,7 +35,7 @@ def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.
     while not done(got):
         assert time.monotonic() < deadline_s, got
         port.tend()
-        if port.fileno is not None and select.select([port.fileno], [port.fileno] if port.writes else [], [], 0.02):
+        if port.fileno is not None and is_ready(port):
             got += b"".join(data for data, _ in port.read())
     return got
 
@@ -89,6 +95,10 @@ def test_a_serial_device_that_is_not_there_yet_is_waited_for_and_opened_again_wh
         tty.setraw(terminal)
         device.unlink(missing_ok=True)
         device.symlink_to(os.ttyname(terminal))
+        deadline_s = time.monotonic() + 10.0
+        while port.fileno is None:
+            assert time.monotonic() < deadline_s
+            port.tend()
         os.write(controller, text)
         assert read_until(port, lambda got, text=text: got.endswith(text)) == text
         os.close(terminal)

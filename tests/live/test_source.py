@@ -158,7 +158,8 @@ def test_raw_scans_of_a_live_run_give_the_same_scans_again(tmp_path: Path):
         finally:
             listener.close()
     ring.close()
-    part = write_raw(tmp_path / "raw", 60.0, tmp_path)
+    (tmp_path / "again").mkdir()
+    part = write_raw(tmp_path / "raw", 60.0, tmp_path / "again")
     assert part.path is not None
     with open_recording(part.path, source.robot) as recording:
         again = [event for _, event in recording.events()]

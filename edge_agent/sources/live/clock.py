@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from edge_agent.sources.live.settings import ClockChoice
+from edge_agent.live_settings import ClockChoice
 from splitslam.logs import fields
 
 _log = logging.getLogger(__name__)

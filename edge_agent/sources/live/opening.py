@@ -16,7 +16,7 @@ from edge_agent.sources.live.clock import RunClock
 from edge_agent.sources.live.feed import Feed
 from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
 from edge_agent.sources.live.presence import Presence
-from edge_agent.sources.live.settings import LiveConfig
+from edge_agent.live_settings import LiveConfig
 from edge_agent.sources.live.source import Input, LiveSource
 from edge_agent.sources.source import Counts
 from splitslam.errors import InputError

@@ -76,7 +76,7 @@ def _sdk() -> ModuleType:
     except ImportError:
         raise InputError(
             "lidar.model: ouster: the packets of a live Ouster are parsed by ouster-sdk, which is not installed;"
-            " expected: pip install 'splitslam[ouster]'"
+            " expected: pip install --no-deps ouster-sdk==1.0.1"
         ) from None
     return core
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from edge_agent.sources.live.arrivals import ArrivalClock
-from edge_agent.sources.live.settings import Serial, Tcp
+from edge_agent.live_settings import Serial, Tcp
 from splitslam.errors import InputError
 from splitslam.logs import fields
 
