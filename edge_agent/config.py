@@ -8,9 +8,9 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.live_settings import LiveConfig
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.settings import PipelineSettings
-from edge_agent.live_settings import LiveConfig
 from splitslam.config import Model
 from splitslam.security.settings import ClientTls
 
@@ -40,8 +40,8 @@ SOURCES = ("recording", "live")  # sections of `source`, of which a configuratio
 class SourceConfig(Model):
     """Where scans and samples come from: a recording, or sensors.
 
-    realtime: a recording paced by its clock; otherwise lockstep, as fast as it goes and reproducible. Sensors are always
-    by the clock.
+    realtime: a recording paced by its clock; otherwise lockstep, as fast as it goes and reproducible. Sensors are
+    always by the clock.
     queue_scans: scans that may wait to be processed; more are dropped (by the clock) or not read yet (lockstep).
     began_s: realtime only: when the recording's first message was (or will be) due, on the system's monotonic clock.
     What was due before the agent listens has passed, as with a sensor; null: the recording begins when the agent does.

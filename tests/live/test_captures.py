@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import ouster.sdk.core
 import pytest
 import velodyne_decoder as vd
-from ouster.sdk import core
 
 from edge_agent.sources import Counts
 from edge_agent.sources.live import clock
@@ -112,6 +112,7 @@ def test_on_a_bad_network_whatever_comes_is_used_once_and_what_does_not_is_count
 
 # --- Ouster -----------------------------------------------------------------------------------------------------------
 
+core: Any = ouster.sdk.core
 OS32, OS128 = "OS-1-32-G_v2.1.1_1024x10", "OS-1-128_v2.3.0_1024x10_lb_n3"
 LIDAR_PORT, IMU_PORT = 7502, 7503
 
@@ -127,7 +128,7 @@ def ouster_packets(name: str, shared_data: Path) -> list[Datagram]:
 def ouster_run(robot: Robot, packets: list[Datagram]) -> wire.Listener:
     """The packets sent to a source; what it made of them."""
     with wire.listening(robot, wire.config()) as listener:
-        ports = dict(zip((LIDAR_PORT, IMU_PORT), wire.ports_of(listener.source), strict=False))
+        ports: dict[int, int] = dict(zip((LIDAR_PORT, IMU_PORT), wire.ports_of(listener.source), strict=False))
         send([packet for packet in packets if packet.port in ports], "127.0.0.1", ports)
         listener.until(lambda: len(listener.of(Scan)) > 0)
         listener.until_quiet(0.3)

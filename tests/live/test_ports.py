@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from edge_agent.live_settings import Serial, Tcp
 from edge_agent.sources.live.arrivals import ArrivalClock
 from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
-from edge_agent.live_settings import Serial, Tcp
 from splitslam.errors import InputError
 
 
@@ -25,8 +25,10 @@ def udp_port(sender: str | None = None, receive_bytes: int = 2**20) -> UdpPort:
 
 def is_ready(port: Port) -> bool:
     """As the source asks."""
-    reads, writes, _ = select.select([port.fileno], [port.fileno] if port.writes else [], [], 0.02)
-    return bool(reads or writes)
+    assert port.fileno is not None
+    poll = select.poll()
+    poll.register(port.fileno, select.POLLOUT if port.writes else select.POLLIN)
+    return bool(poll.poll(20))
 
 
 def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.0) -> bytes:

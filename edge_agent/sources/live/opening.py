@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.live_settings import LiveConfig
 from edge_agent.sources import beams
 from edge_agent.sources.live import raw_messages
 from edge_agent.sources.live.arrivals import ArrivalClock
@@ -16,7 +17,6 @@ from edge_agent.sources.live.clock import RunClock
 from edge_agent.sources.live.feed import Feed
 from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
 from edge_agent.sources.live.presence import Presence
-from edge_agent.live_settings import LiveConfig
 from edge_agent.sources.live.source import Input, LiveSource
 from edge_agent.sources.source import Counts
 from splitslam.errors import InputError
@@ -172,7 +172,9 @@ class _Opening:
             else:
                 sections[name] = section.model_copy(update={"topic": self.topics[name]})
         if _IMU in self.topics and not self.robot.imu_placed:
-            raise InputError("robot file: T_lidar_imu: must be given when there is an IMU (p_lidar = T_lidar_imu @ p_imu)")
+            raise InputError(
+                "robot file: T_lidar_imu: must be given when there is an IMU (p_lidar = T_lidar_imu @ p_imu)"
+            )
         if self.robot.wheels is not None:
             self.notes.append("wheels: in the robot file, but not read live: not used")
             sections["wheels"] = None

@@ -51,7 +51,9 @@ def open_ouster(robot: Robot, clock: SensorClock, counts: Counts, dropped: Count
     sdk = _sdk()
     path = robot.lidar.metadata
     if path is None:
-        raise InputError("lidar.metadata: must be given for a live ouster: the JSON of http://SENSOR/api/v1/sensor/metadata")
+        raise InputError(
+            "lidar.metadata: must be given for a live ouster: the JSON of http://SENSOR/api/v1/sensor/metadata"
+        )
     text = read_text(Path(path))
     try:
         info = sdk.SensorInfo(text)
@@ -131,9 +133,7 @@ class Parser:
 class OusterLidarFeed:
     """LiDAR packets, put together to frames and those to scans; points in the order in which they were fired."""
 
-    def __init__(
-        self, parser: Parser, robot: Robot, clock: SensorClock, counts: Counts, dropped: Counter[str]
-    ) -> None:
+    def __init__(self, parser: Parser, robot: Robot, clock: SensorClock, counts: Counts, dropped: Counter[str]) -> None:
         self.counts: Counter[str] = Counter()
         self.parser, self._clock, self._read, self._dropped = parser, clock, counts, dropped
         first, last = parser.window
@@ -220,4 +220,3 @@ class OusterImuFeed:
     def quiet(self) -> Iterator[Reading]:
         """Nothing is held back."""
         return iter(())
-

@@ -1,7 +1,8 @@
-"""Where bytes come in: UDP ports, serial devices, TCP servers. None of them waits; who reads them selects on `fileno`."""
+"""Where bytes come in: UDP ports, serial devices, TCP servers. None of them waits; who reads them polls `fileno`."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import logging
 import os
@@ -12,8 +13,8 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Protocol
 
-from edge_agent.sources.live.arrivals import ArrivalClock
 from edge_agent.live_settings import Serial, Tcp
+from edge_agent.sources.live.arrivals import ArrivalClock
 from splitslam.errors import InputError
 from splitslam.logs import fields
 
@@ -206,10 +207,8 @@ class SerialPort(Reopened):
             if error.errno == errno.EACCES:
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES)) from None
             raise
-        try:
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
             opened.set_low_latency_mode(True)  # USB adapters otherwise keep bytes for 16 ms
-        except (OSError, ValueError, NotImplementedError):
-            pass
         self._serial = opened
         self.back()
 
