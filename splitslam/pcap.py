@@ -75,7 +75,7 @@ class _Fragments:
 
     def add(self, packet: Any) -> tuple[int, bytes] | None:
         """(port, data) of the datagram that this one completes."""
-        offset, more = int(packet.offset), bool(packet.mf)
+        offset, more = 8 * int(packet.offset), bool(packet.mf)
         if offset == 0 and not more:
             return _udp(bytes(packet.data))
         key = (packet.src, packet.dst, packet.id)

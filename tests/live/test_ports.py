@@ -15,7 +15,9 @@ import pytest
 
 from edge_agent.live_settings import Serial, Tcp
 from edge_agent.sources.live.arrivals import ArrivalClock
-from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
+from edge_agent.sources.live.ports import Port
+from edge_agent.sources.live.stream_ports import SerialPort, TcpPort
+from edge_agent.sources.live.udp_port import UdpPort
 from splitslam.errors import InputError
 
 

@@ -1,7 +1,7 @@
 """MicroStrain's MIP (3DM-GX5, CV7 data communications protocols): a stream of packets -> IMU samples.
 
-A packet is 0x75 0x65, a descriptor set, the payload's length, fields (length, descriptor, data; big endian) and a checksum
-(Fletcher's, modulo 256, over all before it).
+A packet is 0x75 0x65, a descriptor set, the payload's length, fields (length, descriptor, data; big endian) and a
+checksum (Fletcher's, modulo 256, over all before it).
 """
 
 from __future__ import annotations
