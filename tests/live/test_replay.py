@@ -71,7 +71,7 @@ def test_faults_are_those_that_were_asked_for_and_the_same_for_the_same_seed():
     assert once == list(with_faults(PACKETS, Faults(lost=0.1, twice=0.1, late=0.1, seed=3), Counter()))
     assert once != list(with_faults(PACKETS, Faults(lost=0.1, twice=0.1, late=0.1, seed=4), Counter()))
     assert len(once) == 200 - done["lost"] + done["twice"]
-    assert len(set(p.data for p in once)) == 200 - done["lost"]
+    assert len({p.data for p in once}) == 200 - done["lost"]
     assert all(5 < count < 40 for count in done.values())
     assert list(with_faults(PACKETS, Faults(), Counter())) == PACKETS
 
