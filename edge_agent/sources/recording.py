@@ -47,7 +47,7 @@ class Recording:
 
     def __init__(self, bag: Bag, robot: Robot, max_scans: int | None) -> None:
         self.tap: Tap | None = None
-        self.live_offset_ns: int | None = None
+        self.live_offset_ns = None
         self._bag = bag
         self._name = str(bag.path)
         self._max_scans = max_scans
@@ -58,7 +58,7 @@ class Recording:
         self.end_ns = 0
         self.robot, self.topics = self._choose_topics(robot)
         lidar_topic = self.topics["lidar"]
-        self.scan_count: int | None = min(bag.count(lidar_topic), max_scans if max_scans is not None else 2**62)
+        self.scan_count = min(bag.count(lidar_topic), max_scans if max_scans is not None else 2**62)
         kind = bag.topics()[lidar_topic]
         self._decoder: CloudDecoder | VelodyneDecoder
         if kind == topics.VELODYNE_SCAN:
