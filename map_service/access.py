@@ -1,6 +1,6 @@
 """Who may do what: robots their own sessions, operators those of their site. Nobody else anything.
 
-| caller | EdgeService.Stream | Get, Trajectory, StreamMap | List | Delete |
+| caller | EdgeService.Stream | Get, Trajectory, StreamMap, WatchScans | List | Delete |
 |---|---|---|---|---|
 | robot | as itself, at its site | its own sessions | | |
 | operator of a site | | of the site | of the site | of the site |
@@ -58,3 +58,13 @@ def check_reader(caller: Caller, robot_id: str, site_id: str | None) -> None:
             raise DeniedError("other_robot", f"{who}: expected a session of its own")
         return
     check_operator(caller, site_id or "")
+
+
+def check_watcher(caller: Caller, robot_id: str, site_id: str) -> tuple[str, str | None]:
+    """Whom the caller may watch of what is asked for: the robot ("": all) and the site (None: all). Raises DeniedError."""
+    who = caller.identity
+    if who is not None and who.role == "robot":
+        if robot_id not in ("", who.name):
+            raise DeniedError("other_robot", f"{who}: expected a session of its own")
+        return who.name, None
+    return robot_id, check_operator(caller, site_id) or None

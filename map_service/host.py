@@ -10,7 +10,7 @@ from typing import Any
 from google.protobuf.message import DecodeError as WireError
 
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request, Watch
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.engine import Engine
@@ -24,6 +24,7 @@ from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.taken_over import TakenOver
 from map_service.tally import Tally
 from map_service.types import StateVersionError
+from map_service.views import SessionViews
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
@@ -41,7 +42,7 @@ class SessionHost:
         self.config, self.engine, self.store, self.tally = config, engine, store, Tally()
         self.sessions = HeldSessions(config.limits, send)
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
-        self._send = send
+        self._send, self._views = send, SessionViews(send)
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
         self._opener = Opener(self.sessions, engine, store, self._committer, self._quotas, self.tally, self.cpu_ns)
@@ -67,6 +68,8 @@ class SessionHost:
                 self.sessions.drop(session_id)
             case HandOver(stream):
                 self._hand_over(stream)
+            case Watch():
+                self._views.watch(message)
             case DrainAll():
                 pass
 
@@ -160,6 +163,7 @@ class SessionHost:
             answer = session.apply(frame, poisoned=self._poison.get(name) == frame.seq)
             assert session.stream is not None
             self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
+            self._views.scan(session, frame, answer)
             session.settle()
         except SequenceGapError:
             raise
@@ -199,6 +203,7 @@ class SessionHost:
         if bye.last_seq != session.log.applied_seq:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
         session.finish()
+        self._views.end(session)
 
     def _say_finished(self, session: Session) -> None:
         """Once the last commit is durable; a store that cannot be read just now is asked again."""

@@ -73,7 +73,7 @@ class SessionFront(rpc.SessionServiceServicer):
         if problem := voxel_problem(voxel_m):
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"voxel_m {problem}")
         row = await self._readable(request.session_id, context)
-        pieces = map_pieces(self._catalog.keyframes(row.id), voxel_m)
+        pieces = map_pieces(self._catalog.keyframes(row.id, request.first_keyframe), voxel_m)
         while (piece := await self._query(context, _next, pieces)) is not None:
             yield pb.StreamMapResponse(
                 keyframe=piece.keyframe,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import math
 import multiprocessing
 import os
 import socket
@@ -27,11 +29,14 @@ from map_service.channel import (
     Reply,
     Request,
     RobotStanding,
+    Seen,
+    Watch,
 )
 from map_service.config import ServiceConfig
 from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
+from map_service.watchers import Watchers
 from map_service.worker import WorkerSpec, worker_main
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
@@ -47,14 +52,16 @@ _log = logging.getLogger(__name__)
 class WorkerProcess:
     """One worker: its process, its socket, the streams it serves."""
 
-    def __init__(self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
+    def __init__(
+        self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics, watchers: Watchers
+    ) -> None:
         self.index = index
         self.ready = asyncio.Event()
         self.streams: dict[int, RobotStream] = {}
         self.pinned: set[str] = set()
         self.drained = False
         self.beat_s = self.started_s = time.monotonic()
-        self._config, self._metrics = config, metrics
+        self._config, self._metrics, self._watchers = config, metrics, watchers
         ours, theirs = socket.socketpair()
         self._sock = ours
         spec = WorkerSpec(index, config, engine, os.getpid())
@@ -86,6 +93,12 @@ class WorkerProcess:
         except ConnectionError:
             pass
 
+    def watch(self, watch: Watch) -> None:
+        """Tells a worker that is there whom somebody looks at. It never waits: such messages are few and small."""
+        if self.ready.is_set():
+            with contextlib.suppress(ConnectionError):
+                self._writer.write(channel.pack(watch))
+
     def _take(self, message: Any) -> None:
         match message:
             case Reply():
@@ -106,7 +119,11 @@ class WorkerProcess:
                 self.beat_s = time.monotonic()
                 self.ready.set()
                 self._metrics.workers_ready.of().inc()
+                self.watch(self._watchers.watch)
                 _log.info("worker ready", extra=fields(worker=self.index, pid=message.pid))
+            case Seen():
+                stream = self.streams.get(message.stream or 0)
+                self._watchers.pass_on(message, stream.took_s * 1e3 if stream else math.nan)
             case Handed(number, durable_seq):
                 if stream := self.streams.get(number):
                     stream.handed(durable_seq)
@@ -164,14 +181,23 @@ class WorkerPool:
         self._tasks: list[asyncio.Task[None]] = []
         self._draining = False
         self._numbers = 0
+        self.watchers = Watchers(metrics)
+        self.watchers.tell = self._tell
 
     async def start(self) -> None:
         """Start all and wait until they are warm. Raises RuntimeError when one cannot start."""
         for index in range(self._config.worker_count):
-            self._workers.append(WorkerProcess(index, self._config, self._engine, self._metrics))
+            self._workers.append(self._worker(index))
             self._tasks.append(asyncio.create_task(self._keep(index)))
         self._tasks.append(asyncio.create_task(self._watch()))
         await asyncio.gather(*(self._until_ready(worker) for worker in self._workers))
+
+    def _worker(self, index: int) -> WorkerProcess:
+        return WorkerProcess(index, self._config, self._engine, self._metrics, self.watchers)
+
+    def _tell(self, watch: Watch) -> None:
+        for worker in self._workers:
+            worker.watch(watch)
 
     @property
     def ready(self) -> bool:
@@ -199,7 +225,7 @@ class WorkerPool:
             _log.error("worker died", extra=fields(worker=index, exit_code=worker.process.exitcode))
             failures = 0 if time.monotonic() - worker.started_s > 10 else failures + 1
             await asyncio.sleep(min(0.1 * 2**failures, _RESTART_CAP_S) if failures else 0)
-            self._workers[index] = WorkerProcess(index, self._config, self._engine, self._metrics)
+            self._workers[index] = self._worker(index)
 
     def _end_streams(self, worker: WorkerProcess) -> None:
         detail = "draining: reconnect" if self._draining else "the worker of this session has died: reconnect"

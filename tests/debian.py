@@ -32,10 +32,34 @@ def unpacked(*packages: str) -> Path:
     return folder
 
 
+def with_what_it_needs(package: str) -> tuple[str, ...]:
+    """The package first, and all that would have to be installed with it on this machine."""
+    said = subprocess.run(
+        ("apt-get", "--simulate", "--no-install-recommends", "install", package),
+        capture_output=True,
+        text=True,
+        timeout=_FETCH_S,
+    )
+    needed = [line.split()[1] for line in said.stdout.splitlines() if line.startswith("Inst ")]
+    return (package, *sorted(set(needed) - {package}))
+
+
 def binary(name: str, package: str) -> Path:
     """The program on the PATH, else out of the package."""
     found = shutil.which(name)
     return Path(found) if found else unpacked(package) / "usr" / "bin" / name
+
+
+def chromium() -> tuple[Path, dict[str, str]]:
+    """The browser, and what it needs in its environment where it is not installed."""
+    if found := shutil.which("chromium"):
+        return Path(found), {}
+    root = unpacked(*with_what_it_needs("chromium"))
+    libraries = sorted({str(path.parent) for path in root.glob("usr/lib/**/*.so*")})
+    return root / "usr/lib/chromium/chromium", {
+        "LD_LIBRARY_PATH": ":".join([str(root / "usr/lib/chromium"), *libraries]),
+        "FONTCONFIG_PATH": str(root / "etc/fonts"),
+    }
 
 
 def _fetch(folder: Path, packages: Sequence[str]) -> str | None:

@@ -154,3 +154,6 @@ FILTER_GYRO_BIAS_RADPS, FILTER_ACCEL_BIAS_MPS2 = 5e-4, 0.05
 STEADY_SCAN_STAYS_BYTES = 4_096
 STEADY_SCAN_BYTES = 400_000
 WARM_START_IMPORTS = 8.0
+
+# What is drawn against what was answered: float32 at ten metres, and a quaternion in between.
+VIEW_M = 1e-5

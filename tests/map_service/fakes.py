@@ -18,6 +18,7 @@ from map_service.cloud import encode_cloud
 from map_service.clouds import Fetch
 from map_service.database import StoreError
 from map_service.hello import SessionRequest
+from map_service.seen import MapSeen, ScanSeen
 from map_service.settings import PipelineSettings
 from map_service.types import (
     Commit,
@@ -61,11 +62,13 @@ class FakePipeline:
         self.new_keyframes: list[KeyframeRecord] = []
         self.factors: list[FactorRecord] = []
         self.failing = False
+        self.seen_points = 2
         self.moved: list[tuple[int, np.ndarray]] = []
 
     def answer(self, frame: dict[str, Any], fixes: Sequence[GnssFix]) -> MapAnswer:
         self._act(frame)
         seq, stamp_ns = frame["seq"], frame["stamp_ns"]
+        self.seen_points = frame.get("points", 2)
         keyframe = self.mapped % KEYFRAME_EVERY == 0
         self.mapped += 1
         x_m = float(self.mapped)
@@ -115,6 +118,17 @@ class FakePipeline:
 
     def stored(self, seq: int, fetch: Fetch) -> None:
         """Keeps nothing for the store."""
+
+    def seen(self, newest_fixes: int) -> tuple[ScanSeen, MapSeen]:
+        """As many corners as the newest frame said, matched with what is a metre above them; a surf without a match."""
+        corners = np.tile(np.float32([self.mapped, 0, 0]), (self.seen_points, 1))
+        surfs, nothing = np.float32([[0, self.mapped, 0]]), np.full((1, 3), np.nan, np.float32)
+        newest = len(self.keyframes) - 1
+        scan = ScanSeen(newest, 1.5, corners, surfs, corners + np.float32([0, 0, 1]), nothing)
+        poses = np.array([at(x_m) for x_m in self.keyframes]).reshape(-1, 4, 4)
+        loops = [(0, newest)] if newest > 1 else []
+        fixes = self.keyframes[:1]
+        return scan, MapSeen(poses, loops, np.zeros(len(fixes), np.int64), np.array([[x, 0.0, 2.0] for x in fixes]))
 
     def finish(self) -> None:
         self.keyframes = [x_m + FINAL_SHIFT_M for x_m in self.keyframes]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from splitslam.stack.process import wait_until
 from splitslam.stack.stack import service_tls
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
+from splitslam.wire import view_pb2, view_pb2_grpc
 from tests.conftest import ROOT
 from tests.map_service.harness import frame, hello, new_run
 from tests.stack.conftest import FAKE
@@ -102,6 +104,14 @@ def fleet_of(folder: Path) -> Iterator[Fleet]:
         yield Fleet(folder, authority, replica, *proxies)
 
 
+@dataclass
+class Watched:
+    """Whose scans somebody has seen; why: it has ended."""
+
+    sessions: set[str] = field(default_factory=set)
+    why: str = ""
+
+
 class Client:
     """Somebody who calls `address`; every method returns "" when it was served, else why not."""
 
@@ -160,6 +170,30 @@ class Client:
 
     def stream_map(self, session_id: str) -> str:
         return self._ask("StreamMap", pb.StreamMapRequest(session_id=session_id))[1]
+
+    @contextlib.contextmanager
+    def watching(self, robot_id: str = "", site_id: str = "") -> Iterator[Watched]:
+        """Watches while the block runs."""
+        request = view_pb2.WatchScansRequest(robot_id=robot_id, site_id=site_id)
+        watched, begun = Watched(), threading.Event()
+        with self._channel() as (channel, metadata):
+            call = view_pb2_grpc.ViewServiceStub(channel).WatchScans(request, metadata=metadata)
+
+            def read() -> None:
+                try:
+                    for response in call:
+                        begun.set()
+                        watched.sessions.update({response.session_id} - {""})
+                except grpc.RpcError as error:
+                    watched.why = f"{error.code().name}: {error.details()}"  # pyright: ignore
+                begun.set()
+
+            reader = threading.Thread(target=read, daemon=True)
+            reader.start()
+            assert begun.wait(CALL_S)
+            yield watched
+            call.cancel()
+            reader.join(CALL_S)
 
     def delete(self, session_id: str) -> str:
         return self._ask("Delete", pb.DeleteRequest(session_id=session_id))[1]
