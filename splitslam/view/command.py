@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import rerun as rr
+from rerun.blueprint import Blueprint
 
 from splitslam.run.processes import interruptible
 from splitslam.security.client import Connector
@@ -20,7 +21,7 @@ from splitslam.view.rerun_server import RerunServer, rerun_server
 from splitslam.view.scene import Scene
 from splitslam.view.stored import show_session
 
-_TICK_S = 0.2
+_TICK_S, _FLUSH_S = 0.2, 5.0
 
 
 def run_view(options: ViewOptions) -> None:
@@ -52,7 +53,7 @@ def _view(options: ViewOptions) -> None:
 
 def _view_folder(folder: Path, options: ViewOptions) -> None:
     run = read_folder(folder)
-    blueprint = layout(eye_over(run.points_map[:, :3]) if len(run.points_map) else AT_THE_START, live=False)
+    blueprint = layout(eye_over(run.points_map[:, :3]) if len(run.points_map) else AT_THE_START)
     with _recording(options, blueprint) as (recording, server):
         show_folder(run, Scene(recording, options.voxel_m))
         if server is not None:
@@ -61,7 +62,7 @@ def _view_folder(folder: Path, options: ViewOptions) -> None:
 
 def _view_session(options: ViewOptions) -> None:
     connector = Connector(options.target, options.tls)
-    with _recording(options, layout(AT_THE_START, live=True)) as (recording, server):
+    with _recording(options, layout(AT_THE_START)) as (recording, server):
         show_session(options.session_id, connector, Scene(recording, options.voxel_m))
         if server is not None:
             _wait(options, server)
@@ -69,7 +70,7 @@ def _view_session(options: ViewOptions) -> None:
 
 def _view_service(options: ViewOptions) -> None:
     connector = Connector(options.target, options.tls)
-    with _recording(options, layout(AT_THE_START, live=True)) as (recording, server):
+    with _recording(options, layout(AT_THE_START)) as (recording, server):
         view = LiveView(Scene(recording, options.voxel_m), connector, _note, options.robot_id, options.site_id)
         going_on = _Until(options.seconds, server)
         try:
@@ -82,19 +83,25 @@ def _view_service(options: ViewOptions) -> None:
 
 
 @contextmanager
-def _recording(options: ViewOptions, blueprint: rr.blueprint.Blueprint) -> Iterator[tuple[rr.RecordingStream, RerunServer | None]]:
+def _recording(options: ViewOptions, blueprint: Blueprint) -> Iterator[tuple[rr.RecordingStream, RerunServer | None]]:
     """Into the file that was asked for, or to a server that shows it. What is logged is there when the block is left."""
-    with rr.RecordingStream(APPLICATION) as recording:
+    recording = rr.RecordingStream(APPLICATION)
+    with ExitStack() as stack:
+        server = None
         if options.save is not None:
             recording.save(options.save, default_blueprint=blueprint)
-            yield recording, None
-            recording.disconnect()
-            return
-        with rerun_server(options) as server:
+        else:
+            server = stack.enter_context(rerun_server(options))
             recording.connect_grpc(server.url, default_blueprint=blueprint)
             _tell(server)
-            yield recording, server
-            recording.disconnect()
+        stack.callback(_end, recording)  # before the server
+        yield recording, server
+
+
+def _end(recording: rr.RecordingStream) -> None:
+    with suppress(RuntimeError):  # the server has gone, and with it whoever could see the rest
+        recording.flush(timeout_sec=_FLUSH_S)
+    recording.disconnect()
 
 
 class _Until:

@@ -63,8 +63,10 @@ def points_and_intensity(data: bytes) -> NDArray[np.float32]:
 
 
 def transform(message: types.Transform) -> Array:
-    """(4, 4)."""
+    """(4, 4). Raises ValueError for numbers that are no pose."""
     quat = np.array([message.qx, message.qy, message.qz, message.qw])
+    if not abs(np.linalg.norm(quat) - 1.0) < 1e-3 or not np.isfinite([message.tx_m, message.ty_m, message.tz_m]).all():
+        raise ValueError("no pose")
     return se3.from_quat(np.array([message.tx_m, message.ty_m, message.tz_m]), quat)
 
 

@@ -72,7 +72,7 @@ def _optional(path, read):
 
 
 def _covariances(path: Path) -> Iterator[tuple[int, tuple[str, Array]]]:
-    with path.open(encoding="ascii", newline="") as file:
+    with path.open(encoding="ascii", errors="replace", newline="") as file:
         for number, line in enumerate(csv.reader(file), start=1):
             if number == 1 or not line:
                 continue
@@ -80,7 +80,7 @@ def _covariances(path: Path) -> Iterator[tuple[int, tuple[str, Array]]]:
                 upper = np.zeros((6, 6))
                 upper[_UPPER] = [float(value) for value in line[2:]]
                 yield int(line[0]), (line[1], upper + np.triu(upper, 1).T)
-            except ValueError:
+            except (ValueError, IndexError):
                 raise InputError(f"{path}:{number}: expected stamp_ns, state and 21 numbers") from None
 
 

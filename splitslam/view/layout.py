@@ -35,8 +35,8 @@ def eye_over(points_map: NDArray) -> Eye:
     return Eye((x, y, z), (float(centre[0]), float(centre[1]), float(centre[2])))
 
 
-def layout(eye: Eye, live: bool) -> rrb.Blueprint:
-    """live: the time goes along with what comes."""
+def layout(eye: Eye) -> rrb.Blueprint:
+    """The time goes along with what comes, so that a finished run is seen at its end."""
     world = rrb.Spatial3DView(
         origin="/world",
         name="Map",
@@ -50,6 +50,6 @@ def layout(eye: Eye, live: bool) -> rrb.Blueprint:
         rrb.TimeSeriesView(origin="/doubt", name="Position, 1 sigma, mm"),
         rrb.TextLogView(origin="/events", name="Events"),
     )
-    time = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else "paused")
+    time = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following")
     return rrb.Blueprint(rrb.Vertical(world, plots, row_shares=[7, 3]), time, collapse_panels=True)
 

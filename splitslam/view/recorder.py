@@ -29,18 +29,19 @@ def recorded(
 
     Raises RunFailedError when the service cannot be watched.
     """
-    with rr.RecordingStream(APPLICATION) as recording:
-        recording.save(folder / RECORDING, default_blueprint=layout(AT_THE_START, live=False))
-        view = LiveView(Scene(recording, VOXEL_M), Connector(server, tls), note, robot_id)
-        recorder = _Recorder(view)
-        try:
-            recorder.wait_connected()
-            yield
-            recorder.finish()
-        finally:
-            recorder.stop()
-            view.close()
-            recording.disconnect()
+    recording = rr.RecordingStream(APPLICATION)
+    recording.save(folder / RECORDING, default_blueprint=layout(AT_THE_START))
+    view = LiveView(Scene(recording, VOXEL_M), Connector(server, tls), note, robot_id)
+    recorder = _Recorder(view)
+    try:
+        recorder.wait_connected()
+        yield
+        recorder.finish()
+    finally:
+        recorder.stop()
+        view.close()
+        recording.flush()
+        recording.disconnect()
     counts = view.counts
     if lost := counts.missed + counts.bad:
         note(f"{RECORDING}: {lost} of {lost + counts.scans} scans are not in it: recording was slower than the run")

@@ -6,15 +6,17 @@ not even us.
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import os
 import socket
-import sys
 import time
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 from splitslam.errors import InputError
@@ -58,7 +60,7 @@ def rerun_server(options: ViewOptions, files: Sequence[Path] = ()) -> Iterator[R
         raise InputError("splitslam view: no display here: expected --web, for a browser, or --save FILE.rrd")
     port = options.port or _free_port()
     url = f"rerun+http://{HOST}:{port}/proxy"
-    command = [*_program(), *map(str, files), "--bind", HOST, "--port", str(port)]
+    command = [*map(str, files), "--bind", HOST, "--port", str(port)]
     command += ["--server-memory-limit", options.memory]
     page = None
     if options.web:
@@ -68,19 +70,28 @@ def rerun_server(options: ViewOptions, files: Sequence[Path] = ()) -> Iterator[R
     else:
         command += ["--serve-grpc"]
     with ExitStack() as stack:
-        children = [stack.enter_context(started(_NAME, tuple(command), _STOP_S))]
+        program = _program(Path(stack.enter_context(TemporaryDirectory(prefix="splitslam-view-"))))
+        children = [stack.enter_context(started(_NAME, (*program, *command), _STOP_S))]
         for at in (port, web_port) if options.web else (port,):
             _wait_listening(children[0], at)
         if not options.web:
-            window = (*_program(), "--connect", url, "--memory-limit", options.memory)
-            children.append(stack.enter_context(started(_NAME, window, _STOP_S)))
+            window = ("--connect", url, "--bind", HOST, "--port", "auto", "--memory-limit", options.memory)
+            children.append(stack.enter_context(started(_NAME, (*program, *window), _STOP_S)))
         elif options.open_browser and page is not None:
             webbrowser.open(page)
         yield RerunServer(url, page, tuple(children))
 
 
-def _program() -> tuple[str, ...]:
-    return (sys.executable, "-m", "rerun")
+def _program(folder: Path) -> tuple[str, ...]:
+    """Rerun's command with a configuration of its own in `folder`: that it tells its makers nothing of its use."""
+    config = folder / "rerun" / "analytics.json"
+    config.parent.mkdir()
+    config.write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}))
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise RunFailedError("rerun_cli, which comes with rerun-sdk: not found")
+    # itself, not `python -m rerun`: that starts it as a child, which would stay when we end
+    return ("/usr/bin/env", f"XDG_CONFIG_HOME={folder}", str(Path(found.origin).with_name("rerun")))
 
 
 def _free_port() -> int:

@@ -10,7 +10,7 @@ from map_service.settings import PipelineSettings
 from splitslam import se3
 from splitslam.registration._kernels import GEOMETRY, KIND
 from splitslam.robot import Robot
-from tests.map_pipeline.made_drives import ahead, driven, fixes
+from tests.map_pipeline.made_drives import Receiver, ahead, driven, fixes
 from tests.map_pipeline.made_walks import Inline
 from tests.map_pipeline.test_tracker import STEP, frame
 
@@ -67,7 +67,7 @@ def test_a_scan_says_which_keyframe_it_is_or_hangs_on():
 
 def test_the_fixes_that_are_shown_lie_where_the_graph_has_them():
     truth = ahead(150.0, 2.0)
-    outcome = driven(truth, fixes(truth))
+    outcome = driven(truth, fixes(truth, Receiver()))
     graph = outcome.pipeline.graph
     shown = map_seen(graph, 10)
     assert len(shown.fix_keyframes) == 10
