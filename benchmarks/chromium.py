@@ -53,6 +53,11 @@ class Chromium:
         target = self._call("Target.createTarget", {"url": "about:blank"})["targetId"]
         self._session = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
 
+    def darken(self) -> None:
+        """Pages that ask hear that people here like it dark."""
+        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+        self._call("Emulation.setEmulatedMedia", {"features": dark})
+
     def open(self, url: str) -> None:
         self._call("Page.navigate", {"url": url})
 

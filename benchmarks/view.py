@@ -66,7 +66,9 @@ def measure(asked: argparse.Namespace) -> dict[str, Any]:
     return {
         "robots": asked.robots,
         "frames_per_s": round(len(gaps_s) / float(gaps_s.sum()), 1),
-        "gap_ms": {q: round(float(np.percentile(gaps_s, p)) * 1e3) for q, p in (("p50", 50), ("p99", 99), ("max", 100))},
+        "gap_ms": {
+            q: round(float(np.percentile(gaps_s, p)) * 1e3) for q, p in (("p50", 50), ("p99", 99), ("max", 100))
+        },
         "viewer": said[-1:],
     }
 

@@ -61,7 +61,7 @@ def check_reader(caller: Caller, robot_id: str, site_id: str | None) -> None:
 
 
 def check_watcher(caller: Caller, robot_id: str, site_id: str) -> tuple[str, str | None]:
-    """Whom the caller may watch of what is asked for: the robot ("": all) and the site (None: all). Raises DeniedError."""
+    """Whom of those asked for the caller may watch: a robot ("": all) and a site (None: all). Raises DeniedError."""
     who = caller.identity
     if who is not None and who.role == "robot":
         if robot_id not in ("", who.name):

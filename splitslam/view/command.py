@@ -53,8 +53,7 @@ def _view(options: ViewOptions) -> None:
 
 def _view_folder(folder: Path, options: ViewOptions) -> None:
     run = read_folder(folder)
-    blueprint = layout(eye_over(run.points_map[:, :3]) if len(run.points_map) else AT_THE_START)
-    with _recording(options, blueprint) as (recording, server):
+    with _recording(options, layout(eye_over(run.trajectory.positions_m))) as (recording, server):
         show_folder(run, Scene(recording, options.voxel_m))
         if server is not None:
             _wait(options, server)
@@ -84,7 +83,7 @@ def _view_service(options: ViewOptions) -> None:
 
 @contextmanager
 def _recording(options: ViewOptions, blueprint: Blueprint) -> Iterator[tuple[rr.RecordingStream, RerunServer | None]]:
-    """Into the file that was asked for, or to a server that shows it. What is logged is there when the block is left."""
+    """Into the file that was asked for, or to a server that shows it; complete when the block is left."""
     recording = rr.RecordingStream(APPLICATION)
     with ExitStack() as stack:
         server = None

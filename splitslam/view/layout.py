@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from splitslam.view.colours import BACKGROUND
 from splitslam.view.scene import TIMELINE
 
-
 APPLICATION = "splitslam"
 
 
@@ -23,14 +22,17 @@ class Eye:
     target_m: tuple[float, float, float]
 
 
+_AROUND_M = 12.0
 AT_THE_START = Eye((-18.0, -22.0, 24.0), (4.0, 0.0, 0.0))  # of a map whose size is not known yet
 
 
-def eye_over(points_map: NDArray) -> Eye:
-    """From the south and above, so that points (N, 3) fill the view."""
-    low, high = np.percentile(points_map, [2, 98], axis=0)
-    centre, size_m = (low + high) / 2.0, float(np.linalg.norm((high - low)[:2]))
-    position = centre + max(size_m, 10.0) * np.array([-0.15, -0.55, 0.6])
+def eye_over(positions_map: NDArray) -> Eye:
+    """From the south and above, so that a way through (N, 3) and what is seen from there fill the view."""
+    if not len(positions_map):
+        return AT_THE_START
+    low, high = positions_map.min(axis=0), positions_map.max(axis=0)
+    centre, size_m = (low + high) / 2.0, float(np.linalg.norm((high - low)[:2])) + _AROUND_M
+    position = centre + size_m * np.array([-0.15, -0.6, 0.65])
     x, y, z = position.tolist()
     return Eye((x, y, z), (float(centre[0]), float(centre[1]), float(centre[2])))
 
@@ -52,4 +54,3 @@ def layout(eye: Eye) -> rrb.Blueprint:
     )
     time = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following")
     return rrb.Blueprint(rrb.Vertical(world, plots, row_shares=[7, 3]), time, collapse_panels=True)
-

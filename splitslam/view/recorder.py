@@ -13,7 +13,7 @@ from splitslam.run.processes import RunFailedError
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
 from splitslam.view.folder import RECORDING
-from splitslam.view.layout import APPLICATION, AT_THE_START, layout
+from splitslam.view.layout import APPLICATION, AT_THE_START, eye_over, layout
 from splitslam.view.live import LiveView
 from splitslam.view.scene import Scene
 
@@ -22,16 +22,15 @@ _CONNECT_S, _END_S = 10.0, 30.0
 
 
 @contextmanager
-def recorded(
-    server: str, tls: ClientTls, robot_id: str, folder: Path, note: Callable[[str], None]
-) -> Iterator[None]:
+def recorded(server: str, tls: ClientTls, robot_id: str, folder: Path, note: Callable[[str], None]) -> Iterator[None]:
     """For as long as the block runs, into view.rrd in `folder`. The run never waits for it, but for its last messages.
 
     Raises RunFailedError when the service cannot be watched.
     """
     recording = rr.RecordingStream(APPLICATION)
     recording.save(folder / RECORDING, default_blueprint=layout(AT_THE_START))
-    view = LiveView(Scene(recording, VOXEL_M), Connector(server, tls), note, robot_id)
+    scene = Scene(recording, VOXEL_M)
+    view = LiveView(scene, Connector(server, tls), note, robot_id)
     recorder = _Recorder(view)
     try:
         recorder.wait_connected()
@@ -40,6 +39,7 @@ def recorded(
     finally:
         recorder.stop()
         view.close()
+        recording.send_blueprint(layout(eye_over(scene.positions_map)))
         recording.flush()
         recording.disconnect()
     counts = view.counts

@@ -29,12 +29,13 @@ class Features:
         """Both classes, (N, 3)."""
         return np.concatenate([self.corners_lidar, self.surfs_lidar])
 
-    @property
-    def correspondences_lidar(self) -> Points:
-        """(M, 2, 3): from each feature that was matched to what it was matched with."""
+    def correspondences_lidar(self, at_most: int) -> Points:
+        """(M, 2, 3): from features to what they were matched with; evenly chosen where there are more."""
         features = self.points_lidar
         matches = np.concatenate([self.corner_matches_lidar, self.surf_matches_lidar])
-        found = np.isfinite(matches[:, 0])
+        found = np.flatnonzero(np.isfinite(matches[:, 0]))
+        if len(found) > at_most:
+            found = found[np.linspace(0, len(found) - 1, at_most).astype(np.intp)]
         return np.stack([features[found], matches[found]], axis=1)
 
 

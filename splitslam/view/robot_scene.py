@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from splitslam import se3
 from splitslam.view import colours as c
-from splitslam.view.records import Array, Correction, Features, Points, ScanShown
 from splitslam.view.rates import Kbps
+from splitslam.view.records import Array, Correction, Features, Points, ScanShown
 from splitslam.view.strips import Strip, Strips
 from splitslam.view.thinning import Thinner
 
 Log = Callable[[int | None, str, rr.AsComponents], None]
 COVARIANCE_SCALE = 100.0  # three sigmas of a good pose are millimetres
+MOST_LINES = 400  # correspondences of a scan; more of them say no more to the eye
 _SIGMAS = 3.0
 _LEVELS = {"lost": "ERROR", "degenerate": "WARN", "localising": "WARN", "unanchored": "WARN"}
 
@@ -68,6 +69,11 @@ class RobotScene:
     def without_points(self) -> list[int]:
         """Keyframes whose place is known and whose points are not."""
         return sorted(self._poses.keys() - self._shown)
+
+    @property
+    def positions_map(self) -> Array:
+        """(K, 3) m: where the keyframes are."""
+        return np.array([T[:3, 3] for T in self._poses.values()]).reshape(-1, 3)
 
     def shows(self, keyframe: int) -> bool:
         """Its points are there."""
@@ -151,7 +157,7 @@ class RobotScene:
         lidar = f"{self._world}/lidar"
         self._log(stamp_ns, f"{lidar}/corners", rr.Points3D.from_fields(positions=features.corners_lidar))
         self._log(stamp_ns, f"{lidar}/surfs", rr.Points3D.from_fields(positions=features.surfs_lidar))
-        matches = rr.LineStrips3D.from_fields(strips=features.correspondences_lidar)
+        matches = rr.LineStrips3D.from_fields(strips=features.correspondences_lidar(MOST_LINES))
         self._log(stamp_ns, f"{lidar}/matches", matches)
 
     def _doubt(self, stamp_ns: int, covariance: Array) -> None:

@@ -1,20 +1,20 @@
 """Everything that is shown, as entities of one Rerun recording on one time line, the sensors' own time.
 
-    world/ROBOT/map/K            points of keyframe K in its own frame, logged once, under T_map_lidar
-    world/ROBOT/trajectory/K/n   the way of the scans that hang on keyframe K, in its frame: it moves with it
-    world/ROBOT/online/n         the way as it was answered at the time, in `map`
-    world/ROBOT/lidar            T_map_lidar of the newest scan; under it corners, surfs, matches, covariance
-    world/ROBOT/loops            a line for each loop closure
-    world/ROBOT/gnss             fixes, and a line from each to its keyframe
-    latency, uplink, doubt       /ROBOT/...: plots
-    events/ROBOT                 text
+world/ROBOT/map/K            points of keyframe K in its own frame, logged once, under T_map_lidar
+world/ROBOT/trajectory/K/n   the way of the scans that hang on keyframe K, in its frame: it moves with it
+world/ROBOT/online/n         the way as it was answered at the time, in `map`
+world/ROBOT/lidar            T_map_lidar of the newest scan; under it corners, surfs, matches, covariance
+world/ROBOT/loops            a line for each loop closure
+world/ROBOT/gnss             fixes, and a line from each to its keyframe
+latency, uplink, doubt       /ROBOT/...: plots
+events/ROBOT                 text
 """
 
 from __future__ import annotations
 
-
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from splitslam.view.colours import colours_of
 from splitslam.view.robot_scene import RobotScene
@@ -37,6 +37,11 @@ class Scene:
         return self._robots[name]
 
     @property
+    def positions_map(self) -> NDArray[np.float64]:
+        """(K, 3) m: where the keyframes of all robots are."""
+        return np.concatenate([np.zeros((0, 3)), *(robot.positions_map for robot in self._robots.values())])
+
+    @property
     def robots(self) -> tuple[str, ...]:
         return tuple(self._robots)
 
@@ -48,5 +53,3 @@ class Scene:
         self.latest_ns = max(self.latest_ns, stamp_ns)
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
         self._recording.log(path, what)
-
-

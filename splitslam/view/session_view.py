@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitslam.tum import Trajectory
 from splitslam.view.decoding import keyframe_poses, points, scan_shown
 from splitslam.view.fetcher import Wanted
 from splitslam.view.history import KeyframeStamps, ShownKeyframe, show_way
 from splitslam.view.records import Array
 from splitslam.view.robot_scene import RobotScene
-from splitslam.tum import Trajectory
 from splitslam.wire import view_pb2
 
 _WAIT_SCANS = 20  # a keyframe is stored by then
@@ -105,7 +105,7 @@ class SessionView:
         self.robot.keyframe(stamp_ns, stored.index, T, stored.points_lidar)
 
     def fetched(self) -> None:
-        """All that was wanted is there: the way so far hangs on its keyframes, those of scans seen here it has already."""
+        """All that was wanted is there: the way until the first scan that was seen here hangs on its keyframes."""
         if self._history is not None and self._taken_ns:
             before = self._history.stamps_ns < (self._first_ns or np.iinfo(np.int64).max)
             show_way(self.robot, self._history[before], self._taken_ns)

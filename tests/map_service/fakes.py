@@ -121,10 +121,10 @@ class FakePipeline:
 
     def seen(self, newest_fixes: int) -> tuple[ScanSeen, MapSeen]:
         """As many corners as the newest frame said, matched with what is a metre above them; a surf without a match."""
-        corners = np.tile(np.float32([self.mapped, 0, 0]), (self.seen_points, 1))
-        surfs, nothing = np.float32([[0, self.mapped, 0]]), np.full((1, 3), np.nan, np.float32)
+        corners = np.tile(np.array([self.mapped, 0, 0], np.float32), (self.seen_points, 1))
+        surfs, nothing = np.array([[0, self.mapped, 0]], np.float32), np.full((1, 3), np.nan, np.float32)
         newest = len(self.keyframes) - 1
-        scan = ScanSeen(newest, 1.5, corners, surfs, corners + np.float32([0, 0, 1]), nothing)
+        scan = ScanSeen(newest, 1.5, corners, surfs, corners + np.array([0, 0, 1], np.float32), nothing)
         poses = np.array([at(x_m) for x_m in self.keyframes]).reshape(-1, 4, 4)
         loops = [(0, newest)] if newest > 1 else []
         fixes = self.keyframes[:1]

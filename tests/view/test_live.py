@@ -15,7 +15,6 @@ from splitslam.security.settings import ClientTls
 from splitslam.view.live import LiveView
 from splitslam.view.scene import Scene
 from splitslam.wire import session_pb2 as pb
-from tests.map_service.conftest import connect, run_id, service, session_id, start_service  # noqa: F401
 from tests.map_service.fakes import FINAL_SHIFT_M, KEYFRAME_EVERY, POINTS_LIDAR, payload
 from tests.map_service.harness import Robot7, Service, frame, hello, new_run
 from tests.tolerances import VIEW_M
@@ -49,7 +48,7 @@ class Viewer:
 
 
 @contextmanager
-def viewer(service: Service) -> Iterator[Viewer]:  # noqa: F811
+def viewer(service: Service) -> Iterator[Viewer]:
     made = Viewer(service.address)
     try:
         yield made
@@ -57,7 +56,7 @@ def viewer(service: Service) -> Iterator[Viewer]:  # noqa: F811
         made.view.close()
 
 
-def test_who_comes_late_sees_what_was_mapped_before(service: Service, connect: Connect) -> None:  # noqa: F811
+def test_who_comes_late_sees_what_was_mapped_before(service: Service, connect: Connect) -> None:
     robot = connect(service)
     before = 2 * KEYFRAME_EVERY + 2
     for seq in range(1, before + 1):
@@ -74,7 +73,7 @@ def test_who_comes_late_sees_what_was_mapped_before(service: Service, connect: C
         assert cloud.stamp_ns == frame(KEYFRAME_EVERY + 1).stamp_ns, "at the time when it was taken"
 
 
-def test_the_end_of_a_run_corrects_what_is_shown_by_transforms_alone(service: Service, connect: Connect) -> None:  # noqa: F811
+def test_the_end_of_a_run_corrects_what_is_shown_by_transforms_alone(service: Service, connect: Connect) -> None:
     with viewer(service) as shown:
         shown.until(shown.view.connected.is_set, "connected")
         robot = connect(service)
@@ -95,7 +94,7 @@ def test_the_end_of_a_run_corrects_what_is_shown_by_transforms_alone(service: Se
         assert f"2 keyframes moved, by {FINAL_SHIFT_M:.2f} m at most" in said
 
 
-def test_robots_are_shown_side_by_side_and_another_run_of_one_apart(service: Service) -> None:  # noqa: F811
+def test_robots_are_shown_side_by_side_and_another_run_of_one_apart(service: Service) -> None:
     with viewer(service) as shown:
         shown.until(shown.view.connected.is_set, "connected")
         runs = [("rover-7", new_run()), ("rover-8", new_run()), ("rover-7", new_run())]
@@ -109,8 +108,8 @@ def test_robots_are_shown_side_by_side_and_another_run_of_one_apart(service: Ser
             assert shown.logged.of(f"world/{name}/lidar")
 
 
-def test_a_service_that_is_not_there_yet_is_waited_for(start_service: Callable[..., Service]) -> None:  # noqa: F811
-    service = start_service()  # noqa: F811
+def test_a_service_that_is_not_there_yet_is_waited_for(start_service: Callable[..., Service]) -> None:
+    service = start_service()
     service.kill()
     with viewer(service) as shown:
         shown.until(lambda: bool(shown.notes), "a note")
@@ -131,7 +130,7 @@ def test_a_service_that_is_not_there_yet_is_waited_for(start_service: Callable[.
         assert shown.view.counts.scans
 
 
-def test_a_service_that_cannot_be_watched_says_so_at_once(start_service: Callable[..., Service]) -> None:  # noqa: F811
+def test_a_service_that_cannot_be_watched_says_so_at_once(start_service: Callable[..., Service]) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     import grpc
@@ -146,7 +145,7 @@ def test_a_service_that_cannot_be_watched_says_so_at_once(start_service: Callabl
     old.stop(None)
 
 
-def test_a_message_that_does_not_hold_together_is_dropped_and_counted(service: Service, connect: Connect) -> None:  # noqa: F811
+def test_a_message_that_does_not_hold_together_is_dropped_and_counted(service: Service, connect: Connect) -> None:
     from splitslam.wire import view_pb2
 
     with viewer(service) as shown:

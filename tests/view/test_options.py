@@ -38,7 +38,10 @@ def test_a_folder_a_recording_and_a_service_are_told_apart(tmp_path: Path) -> No
     assert [(o.folder, o.file) for o in found] == [(tmp_path, None), (None, recording), (None, None), (None, None)]
 
 
-@pytest.mark.parametrize("name", ["report.json", "map.ply", "trajectory.tum", "online.tum", "keyframes.csv", "scans.csv", "online_covariance.csv"])
+@pytest.mark.parametrize(
+    "name",
+    ["report.json", "map.ply", "trajectory.tum", "online.tum", "keyframes.csv", "scans.csv", "online_covariance.csv"],
+)
 def test_a_damaged_file_of_a_run_is_named(tmp_path: Path, name: str) -> None:
     write_run(tmp_path)
     (tmp_path / name).write_bytes(b"1,2\n\xff garbage")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_a_long_way_costs_no_more_a_scan_than_a_short_one_and_has_no_gaps() -> N
     sizes = [len(entry.fields["strips"][0]) for strip in strips for entry in strip]
     assert max(sizes) <= LONGEST + 1
     ends = [strip[-1].fields["strips"][0] for strip in strips]
-    assert all(before[-1] == after[0] for before, after in zip(ends, ends[1:], strict=False))
+    assert all(before[-1] == after[0] for before, after in itertools.pairwise(ends))
 
 
 def test_a_robot_that_stands_draws_nothing() -> None:

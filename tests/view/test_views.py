@@ -36,7 +36,9 @@ def at(x_m: float) -> np.ndarray:
     return se3.compose(np.eye(3), np.array([x_m, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize(("watch", "looks"), [(Watch(), 0), (Watch(frozenset({"rover-8"})), 0), (Watch(frozenset({"rover-7"})), 1)])
+@pytest.mark.parametrize(
+    ("watch", "looks"), [(Watch(), 0), (Watch(frozenset({"rover-8"})), 0), (Watch(frozenset({"rover-7"})), 1)]
+)
 def test_a_session_is_looked_at_when_somebody_wants_it_and_a_failure_harms_nobody(
     watch: Watch, looks: int, caplog: pytest.LogCaptureFixture
 ) -> None:
