@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# No GPU: ANGLE on its own rasteriser. Rerun asks for WebGL 2 when it is told so, and needs no more.
-SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+# No GPU: ANGLE on its own rasteriser, or on Mesa's. Rerun takes WebGL 2 where there is no WebGPU.
+_GL = ("--use-gl=angle", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 _CALL_S, _STOP_S = 60.0, 5.0
 # DevTools listens on 3 and answers on 4. Not by preexec_fn: other threads may run here.
 _PIPES = (
@@ -52,6 +52,10 @@ class Chromium:
         self._session = ""
         target = self._call("Target.createTarget", {"url": "about:blank"})["targetId"]
         self._session = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     def darken(self) -> None:
         """Pages that ask hear that people here like it dark."""
@@ -114,8 +118,13 @@ class Chromium:
 
 
 @contextmanager
-def chromium(program: Path, size: tuple[int, int], environment: Mapping[str, str] | None = None) -> Iterator[Chromium]:
-    """Started, and ended with the block. size: of the page, pixels."""
+def chromium(
+    program: Path,
+    size: tuple[int, int],
+    environment: Mapping[str, str] | None = None,
+    gl: str = "swiftshader",
+) -> Iterator[Chromium]:
+    """Started, and ended with the block. size: of the page, pixels. gl: what ANGLE draws with."""
     with tempfile.TemporaryDirectory(prefix="chromium-") as folder:
         log = Path(folder, "log")
         to_read, to_write = os.pipe()
@@ -124,7 +133,8 @@ def chromium(program: Path, size: tuple[int, int], environment: Mapping[str, str
             *(str(program), "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars"),
             *(f"--user-data-dir={folder}/profile", f"--window-size={size[0]},{size[1]}", "--remote-debugging-pipe"),
             *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
-            *SOFTWARE_GL,
+            *_GL,
+            f"--use-angle={gl}",
         ]
 
         with log.open("wb") as out:

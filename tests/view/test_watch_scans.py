@@ -104,8 +104,6 @@ def test_a_watcher_that_hangs_keeps_no_robot_waiting_and_is_told_what_it_has_mis
         robot = connect(service)
         for seq in range(1, frames + 1):
             assert robot.ask(frame(seq, heavy)).seq == seq
-        missed_at_the_service = service.metrics()["splitslam_map_views_missed_total"] - before
-        assert missed_at_the_service > 0
         shown = missed = 0
         maps = []
         while shown + missed < frames:
@@ -113,7 +111,7 @@ def test_a_watcher_that_hangs_keeps_no_robot_waiting_and_is_told_what_it_has_mis
             shown, missed = shown + 1, missed + view.missed
             maps.append(len(view.map.keyframes))
         assert shown + missed == frames
-        assert missed == missed_at_the_service
+        assert missed == service.metrics()["splitslam_map_views_missed_total"] - before > 0
         robot.ask(frame(frames + 1))
         after = views(hanging, 1)[0]
         assert list(after.map.keyframes) == list(range(frames // KEYFRAME_EVERY + 1)), "all of the map anew"
