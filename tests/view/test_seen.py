@@ -48,7 +48,7 @@ def test_features_are_matched_with_the_lines_and_planes_that_the_registration_fo
     scan, _ = pipeline.seen(100)
     assert scan is not None
     track, surfs = pipeline.tracker, scan.surfs_lidar
-    T = se3.inv(pipeline.T_map_local) @ answer.T_map_lidar
+    T = se3.inv(pipeline.map_frame.T_map_local) @ answer.T_map_lidar
     fits = np.empty((len(surfs), GEOMETRY))
     track.local_map.surfs.match(surfs.astype(np.float64), T, track.settings.registration.gate_end_m, fits)
     matched = fits[:, KIND] != 0.0
