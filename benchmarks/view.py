@@ -1,4 +1,4 @@
-"""How the viewer keeps up with several robots: `python -m benchmarks.view BAG ROBOT.yaml [--robots 2] [--picture FILE]`.
+"""How the viewer keeps up with several robots: `python -m benchmarks.view BAG ROBOT.yaml [--robots 2]`.
 
 A drive is run once, and what its service has shown of it is kept. Then a stand-in for the service plays that by the
 clock for several robots at once, side by side, to `splitslam view --web` and its page in headless Chromium without a
