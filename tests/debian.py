@@ -51,7 +51,9 @@ def binary(name: str, package: str) -> Path:
 
 
 def chromium() -> tuple[Path, dict[str, str]]:
-    """The browser, and what it needs in its environment where it is not installed."""
+    """The browser, and what it needs in its environment where it is not installed. Root installs it."""
+    if os.getuid() == 0 and shutil.which("chromium") is None and shutil.which("apt-get"):
+        _install("chromium")
     if found := shutil.which("chromium"):
         return Path(found), {}
     root = unpacked(*with_what_it_needs("chromium"))
@@ -60,6 +62,15 @@ def chromium() -> tuple[Path, dict[str, str]]:
         "LD_LIBRARY_PATH": ":".join([str(root / "usr/lib/chromium"), *libraries]),
         "FONTCONFIG_PATH": str(root / "etc/fonts"),
     }
+
+
+def _install(package: str) -> None:
+    """With all that it needs, as root; whether that went well is seen by who looks for the program."""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _run(CACHE, "apt-get", "update", "-qq")
+        _run(CACHE, "apt-get", "install", "-y", "-qq", "--no-install-recommends", package)
 
 
 def _fetch(folder: Path, packages: Sequence[str]) -> str | None:
