@@ -13,8 +13,9 @@ from rerun.blueprint import Blueprint
 
 from splitslam.run.processes import interruptible
 from splitslam.security.client import Connector
+from splitslam.view.batches import recording_stream
 from splitslam.view.folder import RECORDING, read_folder, show_folder
-from splitslam.view.layout import APPLICATION, AT_THE_START, eye_over, layout
+from splitslam.view.layout import AT_THE_START, eye_over, layout
 from splitslam.view.live import Counts, LiveView
 from splitslam.view.options import ViewOptions
 from splitslam.view.rerun_server import RerunServer, rerun_server
@@ -84,7 +85,7 @@ def _view_service(options: ViewOptions) -> None:
 @contextmanager
 def _recording(options: ViewOptions, blueprint: Blueprint) -> Iterator[tuple[rr.RecordingStream, RerunServer | None]]:
     """Into the file that was asked for, or to a server that shows it; complete when the block is left."""
-    recording = rr.RecordingStream(APPLICATION)
+    recording = recording_stream(live=options.save is None and options.folder is None)
     with ExitStack() as stack:
         server = None
         if options.save is not None:

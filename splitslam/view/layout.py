@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from splitslam.view.colours import BACKGROUND
 from splitslam.view.scene import TIMELINE
 
-APPLICATION = "splitslam"
-
 
 @dataclass(frozen=True, slots=True)
 class Eye:

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import rerun as rr
-
 from splitslam.run.processes import RunFailedError
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
+from splitslam.view.batches import recording_stream
 from splitslam.view.folder import RECORDING
-from splitslam.view.layout import APPLICATION, AT_THE_START, eye_over, layout
+from splitslam.view.layout import AT_THE_START, eye_over, layout
 from splitslam.view.live import LiveView
 from splitslam.view.scene import Scene
 
@@ -27,7 +26,7 @@ def recorded(server: str, tls: ClientTls, robot_id: str, folder: Path, note: Cal
 
     Raises RunFailedError when the service cannot be watched.
     """
-    recording = rr.RecordingStream(APPLICATION)
+    recording = recording_stream(live=False)
     recording.save(folder / RECORDING, default_blueprint=layout(AT_THE_START))
     scene = Scene(recording, VOXEL_M)
     view = LiveView(scene, Connector(server, tls), note, robot_id)
