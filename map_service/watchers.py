@@ -89,7 +89,7 @@ class Watchers:
             self._changed()
 
     def _changed(self) -> None:
-        self._metrics.watchers.set(len(self._watchers))
+        self._metrics.viewers.set(len(self._watchers))
         self.all_anew()
 
     def all_anew(self) -> None:

@@ -17,6 +17,7 @@ import grpc
 from map_service import channel
 from map_service.channel import Abort, Beat, Drained, Handed, Ready, Reply, RobotStanding, Seen, Watch
 from map_service.config import ServiceConfig
+from map_service.live_answers import LiveAnswers
 from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
@@ -33,15 +34,22 @@ class WorkerProcess:
     """One worker: its process, its socket, the streams it serves."""
 
     def __init__(
-        self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics, watchers: Watchers
+        self,
+        index: int,
+        config: ServiceConfig,
+        engine: str,
+        metrics: ServiceMetrics,
+        live: LiveAnswers,
+        watchers: Watchers,
     ) -> None:
+        """live: hears every answer. watchers: see what the worker shows."""
         self.index = index
         self.ready = asyncio.Event()
         self.streams: dict[int, RobotStream] = {}
         self.pinned: set[str] = set()
         self.drained = False
         self.beat_s = self.started_s = time.monotonic()
-        self._config, self._metrics, self._watchers = config, metrics, watchers
+        self._config, self._metrics, self._live, self._watchers = config, metrics, live, watchers
         ours, theirs = socket.socketpair()
         self._sock = ours
         spec = WorkerSpec(index, config, engine, os.getpid())
@@ -117,6 +125,7 @@ class WorkerProcess:
             return
         stream.opened = True
         if message.answer:
+            self._live.tell(stream.number, stream.session_id, message.body)
             if (seconds := stream.put_answer(message.body)) is not None:
                 self._metrics.answer_seconds.observe(seconds)
         else:

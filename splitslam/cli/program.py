@@ -10,6 +10,7 @@ import typer
 from splitslam.cli.bench import bench
 from splitslam.cli.operation import diagnose, top
 from splitslam.cli.recordings import check, demo, evaluate, run, sim
+from splitslam.cli.sensors import replay
 from splitslam.cli.viewing import view
 from splitslam.errors import InputError
 from splitslam.run.processes import RunFailedError
@@ -26,6 +27,7 @@ _COMMANDS = {
     "top": top,
     "view": view,
     "sim": sim,
+    "replay": replay,
 }
 
 app = typer.Typer(

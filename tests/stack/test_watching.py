@@ -1,46 +1,56 @@
-"""A viewer behind the proxy sees the robots of all replicas, and goes on when they move."""
+"""Sessions that move between replicas while somebody follows them through the proxy."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 
-from splitslam.security.client import Connector
-from splitslam.security.settings import ClientTls
+import pytest
+
+from splitslam.map_client import MapClient
 from splitslam.stack import Stack
 from splitslam.stack.robot import LightRobot
-from splitslam.view.live import LiveView
-from splitslam.view.scene import Scene
-from tests.stack.watch import fullest, wait_level
-from tests.view.logged import Logged
+from splitslam.wire import pose_pb2 as pb
+from tests import tolerances as bars
+from tests.map_service.watching import Follower, kinds
+from tests.stack.watch import fullest, owner, wait_level
 
+pytestmark = pytest.mark.alone  # gaps by the clock
 Drive = Callable[..., list[LightRobot]]
-WAIT_S = 30.0
 
 
-def test_a_viewer_sees_the_robots_of_every_replica_and_goes_on_when_one_is_drained(whole: Stack, drive: Drive) -> None:
+def gap_s(follower: Follower, since_s: float) -> float:
+    """The longest time without a scan of any robot."""
+    times = [at_s for message, at_s in zip(follower.messages, follower.at_s, strict=False) if message.poses]
+    return max((b - a for a, b in itertools.pairwise(times) if b > since_s), default=0.0)
+
+
+def test_who_follows_gets_every_scan_once_while_replicas_are_killed_and_drained(whole: Stack, drive: Drive) -> None:
     robots = drive(3)
     wait_level(whole, [1, 1, 1])
-    logged, notes = Logged(), []
-    view = LiveView(Scene(logged, voxel_m=0.0), Connector(whole.address, ClientTls()), notes.append)  # type: ignore[arg-type]
-
-    def until(scans: int, what: str) -> None:
-        """So many new scans of each robot."""
-        wanted = {robot.robot_id: shown(robot) + scans for robot in robots}
-        deadline_s = time.monotonic() + WAIT_S
-        view.run(lambda: time.monotonic() < deadline_s and any(shown(r) < wanted[r.robot_id] for r in robots))
-        assert all(shown(robot) >= wanted[robot.robot_id] for robot in robots), f"{what}: {notes}"
-
-    def shown(robot: LightRobot) -> int:
-        return len(logged.of(f"world/{robot.robot_id}/lidar"))
-
-    try:
-        until(5, "all three, each on a replica of its own")
-        assert fullest(whole).drain() == 0
-        until(10, "after one of them has moved")
-        stamps = [entry.stamp_ns for entry in logged.of(f"world/{robots[0].robot_id}/lidar")]
-        assert len(set(stamps)) == len(stamps), "no scan is shown twice"
-    finally:
-        view.close()
+    names = [robot.robot_id for robot in robots]
+    with MapClient(whole.address) as client:
+        follower = Follower(client.watch_poses(pb.SessionSelection(robot_ids=names), from_start=True))
+        events = Follower(client.events(pb.SessionSelection(robot_ids=names), from_start=True))
+        for robot in robots:
+            follower.wait_seq(robot.answered, robot.session_id)
+        since_s = time.monotonic()
+        owners = {owner(whole, robot) for robot in robots}
+        fullest(whole).kill()
+        for robot in robots:
+            robot.wait_answers(robot.answered + 20)
+        fullest(whole).drain()
+        for robot in robots:
+            robot.wait_answers(robot.answered + 20)
+        assert {owner(whole, robot) for robot in robots} != owners, "nobody has moved"
         for robot in robots:
             robot.finish()
+            follower.wait_seq(robot.sent, robot.session_id)
+            assert follower.seqs(robot.session_id) == list(range(1, robot.sent + 1))
+        assert gap_s(follower, since_s) < bars.WATCH_GAP_S
+        events.wait(lambda f: kinds(f.events).count("ended") == 3, "the end of all three")
+        for robot in robots:
+            told = [event for event in events.events if event.session_id == robot.session_id]
+            assert [event.number for event in told] == list(range(1, len(told) + 1))
+        assert kinds(events.events).count("opened") > 3

@@ -138,10 +138,10 @@ def test_there_are_never_more_watchers_than_a_replica_can_bear(service: Service)
         call.__enter__()
     with pytest.raises(grpc.RpcError, match=f"{MOST_WATCHERS} watch this replica already"), watching(service):
         pass
-    assert service.metrics()["splitslam_map_watchers"] == MOST_WATCHERS
+    assert service.metrics()["splitslam_map_viewers"] == MOST_WATCHERS
     calls[0].__exit__(None, None, None)
     deadline_s = time.monotonic() + WAIT_S
-    while service.metrics()["splitslam_map_watchers"] != MOST_WATCHERS - 1:
+    while service.metrics()["splitslam_map_viewers"] != MOST_WATCHERS - 1:
         assert time.monotonic() < deadline_s
     with watching(service):
         pass
