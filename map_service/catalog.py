@@ -88,14 +88,14 @@ class Catalog:
                         raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
                     yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
-    def keyframes(self, key: int) -> Generator[StoredKeyframe]:
-        """Every keyframe with its cloud, one at a time."""
+    def keyframes(self, key: int, first: int = 0) -> Generator[StoredKeyframe]:
+        """Every keyframe from number `first` on with its cloud, one at a time."""
         k, c = schema.keyframes, schema.clouds
         with self._store.reading() as connection:
             query = (
                 select(k.c.keyframe, k.c.pose_map_lidar, c.c.cloud)
                 .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
-                .where(k.c.session == key)
+                .where(k.c.session == key, k.c.keyframe >= first)
                 .order_by(k.c.keyframe)
             )
             # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through

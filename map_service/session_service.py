@@ -64,7 +64,7 @@ class SessionFront(StoreFront, rpc.SessionServiceServicer):
         if problem := voxel_problem(voxel_m):
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"voxel_m {problem}")
         row = await self._readable(request.session_id, context)
-        pieces = map_pieces(self._catalog.keyframes(row.id), voxel_m)
+        pieces = map_pieces(self._catalog.keyframes(row.id, request.first_keyframe), voxel_m)
         while (piece := await self._query(context, next_of, pieces)) is not None:
             yield pb.StreamMapResponse(
                 keyframe=piece.keyframe,

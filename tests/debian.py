@@ -32,10 +32,45 @@ def unpacked(*packages: str) -> Path:
     return folder
 
 
+def with_what_it_needs(package: str) -> tuple[str, ...]:
+    """The package first, and all that would have to be installed with it on this machine."""
+    said = subprocess.run(
+        ("apt-get", "--simulate", "--no-install-recommends", "install", package),
+        capture_output=True,
+        text=True,
+        timeout=_FETCH_S,
+    )
+    needed = [line.split()[1] for line in said.stdout.splitlines() if line.startswith("Inst ")]
+    return (package, *sorted(set(needed) - {package}))
+
+
 def binary(name: str, package: str) -> Path:
     """The program on the PATH, else out of the package."""
     found = shutil.which(name)
     return Path(found) if found else unpacked(package) / "usr" / "bin" / name
+
+
+def chromium() -> tuple[Path, dict[str, str]]:
+    """The browser, and what it needs in its environment where it is not installed. Root installs it."""
+    if os.getuid() == 0 and shutil.which("chromium") is None and shutil.which("apt-get"):
+        _install("chromium")
+    if found := shutil.which("chromium"):
+        return Path(found), {}
+    root = unpacked(*with_what_it_needs("chromium"))
+    libraries = sorted({str(path.parent) for path in root.glob("usr/lib/**/*.so*")})
+    return root / "usr/lib/chromium/chromium", {
+        "LD_LIBRARY_PATH": ":".join([str(root / "usr/lib/chromium"), *libraries]),
+        "FONTCONFIG_PATH": str(root / "etc/fonts"),
+    }
+
+
+def _install(package: str) -> None:
+    """With all that it needs, as root; whether that went well is seen by who looks for the program."""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _run(CACHE, "apt-get", "update", "-qq")
+        _run(CACHE, "apt-get", "install", "-y", "-qq", "--no-install-recommends", package)
 
 
 def _fetch(folder: Path, packages: Sequence[str]) -> str | None:

@@ -169,3 +169,6 @@ WARM_START_IMPORTS = 8.0
 
 # Stamps by arrival: 80 ppm of drift over the 8 s in which the quickest message counts, and what messages are late by.
 LIVE_CLOCK_S = 1.5e-3
+
+# What is drawn against what was answered: float32 at ten metres, and a quaternion in between.
+VIEW_M = 1e-5

@@ -11,6 +11,7 @@ from splitslam.cli.bench import bench
 from splitslam.cli.operation import diagnose, top
 from splitslam.cli.recordings import check, demo, evaluate, run, sim
 from splitslam.cli.sensors import replay
+from splitslam.cli.viewing import view
 from splitslam.errors import InputError
 from splitslam.run.processes import RunFailedError
 from splitslam.security.command import certs
@@ -24,6 +25,7 @@ _COMMANDS = {
     "diagnose": diagnose,
     "demo": demo,
     "top": top,
+    "view": view,
     "sim": sim,
     "replay": replay,
 }

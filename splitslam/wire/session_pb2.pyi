@@ -333,12 +333,14 @@ class TrajectoryResponse(_message.Message):
     def __init__(self, poses: _Optional[_Iterable[_Union[_types_pb2.StampedPose, _Mapping]]] = ...) -> None: ...
 
 class StreamMapRequest(_message.Message):
-    __slots__ = ("session_id", "voxel_m")
+    __slots__ = ("session_id", "voxel_m", "first_keyframe")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     VOXEL_M_FIELD_NUMBER: _ClassVar[int]
+    FIRST_KEYFRAME_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     voxel_m: float
-    def __init__(self, session_id: _Optional[str] = ..., voxel_m: _Optional[float] = ...) -> None: ...
+    first_keyframe: int
+    def __init__(self, session_id: _Optional[str] = ..., voxel_m: _Optional[float] = ..., first_keyframe: _Optional[int] = ...) -> None: ...
 
 class StreamMapResponse(_message.Message):
     __slots__ = ("keyframe", "pose_map_lidar", "points", "point_count")
