@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from splitslam.cli.bench import bench
+from splitslam.cli.export import export
 from splitslam.cli.operation import diagnose, top
 from splitslam.cli.recordings import check, demo, evaluate, run, sim
 from splitslam.errors import InputError
@@ -16,7 +17,10 @@ from splitslam.security.command import certs
 
 _UsageError: Any = typer.BadParameter.__base__  # of the click that typer brings along or, in older ones, depends on
 _INTERRUPTED = 130
-_COMMANDS = {"eval": evaluate, "run": run, "check": check, "diagnose": diagnose, "demo": demo, "top": top, "sim": sim}
+_COMMANDS = {
+    "eval": evaluate, "run": run, "check": check, "export": export, "diagnose": diagnose, "demo": demo, "top": top,
+    "sim": sim,
+}  # fmt: skip
 
 app = typer.Typer(
     name="splitslam",

@@ -1,0 +1,82 @@
+"""What the views say of a part of the grid: how often each cell was hit, how often seen through."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitslam.export.grid._grid_kernels import HIT, MISS, mark_hits, trace_rays
+from splitslam.export.grid.ground import Ground
+from splitslam.export.grid.settings import GridSettings
+from splitslam.export.grid.spool import View
+
+Array = NDArray[np.float64]
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+
+# Evidence of a hit and of a miss, log odds (Hornung et al., "OctoMap", Autonomous Robots 2013, section 5.1).
+_HIT, _MISS = 0.85, -0.4
+_BELOW_M = -0.5  # under the ground as it is known: its own unevenness
+_CLEAR_CELLS = 1.5  # so far before the surface that it hits, measured across it, a ray says nothing
+_FLATTEST = 0.05  # cosine of the incidence
+_NEIGHBOUR = 0.06  # of the range: points of one surface in one ring are nearer to each other
+_NEIGHBOUR_M = 0.3
+_NOISE_SHARE = 0.1  # of the hits of a cell two away: what range noise leaves behind a surface
+_HALO = 2  # cells around a part that its own are compared with
+
+
+class Evidence:
+    """Counts for the cells of one part. corner (2,): of its cell (0, 0), m; shape: rows (y) and columns (x)."""
+
+    def __init__(self, corner: Array, shape: tuple[int, int], ground: Ground, settings: GridSettings) -> None:
+        cell_m = settings.resolution_m
+        self._settings, self._ground = settings, ground
+        corner = corner - _HALO * cell_m
+        shape = (shape[0] + 2 * _HALO, shape[1] + 2 * _HALO)
+        self._frame = np.array([*corner, cell_m, _BELOW_M, settings.max_height_m])
+        self._heights = ground.patch(corner, cell_m, shape)
+        self._marks = np.full((2, *shape), -1, np.int32)
+        self._counts = np.zeros((2, *shape), np.uint16)
+
+    def add(self, view: View) -> None:
+        """One more view."""
+        s = self._settings
+        level = view.points[:, :2] - view.sensor[:2]
+        range_m = np.hypot(level[:, 0], level[:, 1])
+        over_m = view.points[:, 2] - self._ground.at(view.points[:, :2])
+        standing = over_m >= s.min_height_m
+        hits = view.points[standing & (over_m <= s.max_height_m) & (range_m <= s.range_m)]
+        mark_hits(hits, self._frame, self._marks, self._counts, view.number)
+        stops = np.where(standing, 1.0 - self._margin_m(view, level, range_m) / np.maximum(range_m, 1e-6), 1.0)
+        stops = np.clip(np.minimum(stops, s.range_m / np.maximum(range_m, 1e-6)), 0.0, 1.0)
+        trace_rays(view.sensor, view.points, stops, self._frame, self._heights, self._marks, self._counts, view.number)
+
+    def _margin_m(self, view: View, level: Array, range_m: Array) -> Array:
+        """(N,) how far before its end a ray runs within a cell or so of the surface that it hits.
+
+        A ray that grazes a wall runs along it for metres, in the wall's own cells. The wall's direction is that of the
+        neighbours in the ring; without them it is taken to stand across.
+        """
+        steps = np.diff(view.points, axis=0)
+        near = np.linalg.norm(steps, axis=1) < np.maximum(_NEIGHBOUR * range_m[1:], _NEIGHBOUR_M)
+        steps = np.where(near[:, None], steps[:, :2], 0.0)
+        nothing = np.zeros((1, 2))
+        along = np.concatenate([steps, nothing]) + np.concatenate([nothing, steps])
+        length = np.linalg.norm(along, axis=1)
+        cross = np.abs(level[:, 0] * along[:, 1] - level[:, 1] * along[:, 0])
+        cosine = np.where(length > 0, cross / np.maximum(length * range_m, 1e-9), 1.0)
+        return _CLEAR_CELLS * self._settings.resolution_m / np.maximum(cosine, _FLATTEST)
+
+    def states(self) -> NDArray[np.uint8]:
+        """(R, C): UNKNOWN, FREE or OCCUPIED."""
+        hits, misses = self._counts[HIT].astype(np.float64), self._counts[MISS].astype(np.float64)
+        odds = _HIT * hits + _MISS * misses
+        state = np.where(odds < 0.0, FREE, UNKNOWN).astype(np.uint8)
+        state[(odds > 0.0) & (hits >= _NOISE_SHARE * _strongest_near(hits))] = OCCUPIED
+        return state[_HALO:-_HALO, _HALO:-_HALO]
+
+
+def _strongest_near(hits: Array) -> Array:
+    """(R, C): most hits of a cell and those up to two cells away."""
+    padded = np.pad(hits, _HALO)
+    columns = np.max([padded[:, k : k + hits.shape[1]] for k in range(2 * _HALO + 1)], axis=0)
+    return np.max([columns[k : k + hits.shape[0]] for k in range(2 * _HALO + 1)], axis=0)
