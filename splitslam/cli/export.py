@@ -32,7 +32,7 @@ def export(
     resolution: Annotated[float, typer.Option(metavar="M", help="Grid: side of a cell.")] = 0.05,
     min_height: Annotated[float, typer.Option(metavar="M", help="Grid: over the ground, what is in the way.")] = 0.2,
     max_height: Annotated[float, typer.Option(metavar="M", help="Grid: over the ground, what is above it all.")] = 2.0,
-    range_m: Annotated[float, typer.Option("--range", metavar="M", help="Grid: how far rays count.")] = 30.0,
+    range_m: Annotated[float, typer.Option("--range", metavar="M", help="Grid: how far rays count.")] = 20.0,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a session's map, trajectory, pose graph or occupancy grid to a file that others read."""

@@ -32,6 +32,7 @@ ELEVATIONS = np.radians(np.sort(ELEVATIONS_DEG)).astype(np.float32)
 _KNOTS = Knots(np.array([0, 100_000_000]), np.zeros((2, 3)), np.zeros((2, 3)))
 _STILL = Motion(np.eye(4), np.eye(6) * 1e-6, np.zeros(3), _KNOTS, np.array([0.0, 0.0, -1.0]), 0.01, True)
 _SAMPLE_M = 0.02
+LOW_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +109,14 @@ def standing_cells(place: Place, low: np.ndarray, shape: tuple[int, int], settin
     triangles = place.triangles.astype(np.float64)
     flat_low, flat_high = triangles.min(axis=1), triangles.max(axis=1)
     near = ((flat_high[:, :2] >= low) & (flat_low[:, :2] <= high)).all(axis=1)
-    for a, b, c in triangles[near]:
+    over_m = triangles[..., 2] - place.ground_m(triangles[..., 0], triangles[..., 1])
+    near &= (over_m.max(axis=1) > settings.min_height_m - 0.5) & (over_m.min(axis=1) < settings.max_height_m + 0.5)
+    for corners in triangles[near]:
+        # from the corner between the two shorter sides
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+        a, b, c = np.roll(corners, -int(np.argmax(sides)) - 1, axis=0)
         u, v = b - a, c - a
         n, m = (int(np.ceil(np.linalg.norm(side) / _SAMPLE_M)) + 1 for side in (u, v))
-        if n * m > 40_000_000:
-            raise ValueError("a triangle too large to be looked at")
         i, j = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
         inside = i + j <= 1.0
         points = a + i[inside][:, None] * u + j[inside][:, None] * v
@@ -132,16 +136,15 @@ def widened(cells: np.ndarray, by: int = 1) -> np.ndarray:
 
 
 def seen_free(drive: Drive, xy: np.ndarray, range_m: float) -> np.ndarray:
-    """(N,) bool: from some keyframe the straight line to the place (N, 2), at the sensor's height over the way, is free
-    of geometry and not longer than `range_m`."""
+    """(N,) bool: from some keyframe the straight line to 0.3 m over the place (N, 2), within the sensor's field of view
+    and `range_m`, is free of geometry: there the sensor could see that nothing stands."""
     place, seen = drive.world.place, np.zeros(len(xy), bool)
-    way = place.ground_m(xy[:, 0], xy[:, 1])
+    places = np.column_stack([xy, place.ground_m(xy[:, 0], xy[:, 1]) + LOW_M])
     for T in drive.poses:
-        sensor = T[:3, 3]
-        carried_m = sensor[2] - float(place.ground_m(sensor[:1], sensor[1:2])[0])
-        left = np.flatnonzero(~seen & (np.hypot(*(xy - sensor[:2]).T) <= range_m))
-        lines = np.column_stack([xy[left], way[left] + carried_m]) - sensor
+        left = np.flatnonzero(~seen & (np.hypot(*(xy - T[:2, 3]).T) <= range_m))
+        lines = places[left] - T[:3, 3]
         length = np.linalg.norm(lines, axis=1)
-        hits = drive.world.cast(np.tile(sensor, (len(left), 1)), lines / np.maximum(length, 1e-9)[:, None])
-        seen[left] = hits.range_m > length
+        up = np.arcsin(lines @ T[:3, 2] / length)
+        hits = drive.world.cast(np.tile(T[:3, 3], (len(left), 1)), lines / length[:, None])
+        seen[left] = (hits.range_m > length) & (up >= ELEVATIONS[0]) & (up <= ELEVATIONS[-1])
     return seen

@@ -10,12 +10,13 @@ import pytest
 from splitslam.export.grid._grid_kernels import FULL, HIT, MISS, MOST_GAPS, grow_ground, mark_hits, trace_rays
 
 CELL_M = 0.1
-FRAME = np.array([-2.0, -1.0, CELL_M, -0.5, 2.0])
+FRAME = np.array([-2.0, -1.0, CELL_M, -0.5, 0.2, 0.6])  # layers from -0.5, 0.2, 0.8 and 1.4 to 2.0 m
 SHAPE = (20, 40)
+LAYERS = 4
 
 
 def blank() -> tuple[np.ndarray, np.ndarray]:
-    return np.full((2, *SHAPE), -1, np.int32), np.zeros((2, *SHAPE), np.uint16)
+    return np.full((2, LAYERS, *SHAPE), -1, np.int32), np.zeros((2, LAYERS, *SHAPE), np.uint16)
 
 
 def cells_naively(start: np.ndarray, end: np.ndarray, stop: float) -> set[tuple[int, int]]:
@@ -40,7 +41,7 @@ def test_a_ray_passes_the_cells_that_a_line_passes(seed: int) -> None:
     for end, stop in zip(ends, stops, strict=True):
         marks, counts = blank()
         trace_rays(sensor, end[None], np.array([stop]), FRAME, np.zeros(SHAPE, np.float32), marks, counts, 3)
-        found = {(int(i), int(j)) for i, j in np.argwhere(counts[MISS])}
+        found = {(int(i), int(j)) for i, j in np.argwhere(counts[MISS, 1])}
         expected = cells_naively(sensor, end, stop)
         assert len(found ^ expected) <= 1  # where the line only grazes a cell
         assert set(np.unique(marks[MISS])) <= {-1, 3}
@@ -54,7 +55,8 @@ def test_only_what_is_between_the_heights_over_the_ground_counts() -> None:
     trace_rays(sensor, end[None], np.ones(1), FRAME, ground, marks, counts, 0)
     x = FRAME[0] + (np.arange(SHAPE[1]) + 0.5) * CELL_M
     over = 3.0 - 3.0 * (x + 1.95) / 3.9 - ground[10]
-    np.testing.assert_array_equal(counts[MISS, 10] == 1, (over >= -0.5) & (over <= 2.0))
+    for layer, (low, high) in enumerate([(-0.5, 0.2), (0.2, 0.8), (0.8, 1.4), (1.4, 2.0)]):
+        np.testing.assert_array_equal(counts[MISS, layer, 10] == 1, (over >= low) & (over < high))
 
 
 def test_a_cell_counts_once_a_view_and_a_hit_is_no_miss() -> None:
@@ -65,10 +67,10 @@ def test_a_cell_counts_once_a_view_and_a_hit_is_no_miss() -> None:
     for view in range(3):
         mark_hits(hit, FRAME, marks, counts, view)
         trace_rays(sensor, np.array([end, end, end]), np.ones(3), FRAME, ground, marks, counts, view)
-    assert counts[HIT, 10, 20] == 3
+    assert counts[HIT, 1, 10, 20] == 3
     assert counts[HIT].sum() == 3
-    assert counts[MISS, 10, 20] == 0
-    assert set(counts[MISS, 10, :20].tolist()) == {3}
+    assert counts[MISS, 1, 10, 20] == 0
+    assert set(counts[MISS, 1, 10, :20].tolist()) == {3}
 
 
 def test_counts_stay_at_their_largest() -> None:

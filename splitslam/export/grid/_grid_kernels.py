@@ -41,30 +41,42 @@ def grow_ground(lowest, ground, gaps, queue, filled, step_m):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def mark_hits(points, frame, marks, counts, stamp):
-    """Counts a hit for each cell that one of points (N, 2+) lies in, once a view.
+def layer_of(height, frame, layers):
+    """The layer of a height over ground, m; -1 outside: 0 is what the robot rolls over, from there on they are equal."""
+    if height < frame[4]:
+        return 0 if height >= frame[3] else -1
+    layer = 1 + math.floor((height - frame[4]) / frame[5])
+    return layer if layer < layers else -1
 
-    frame: x and y of the low corner, side of a cell. marks (2, R, C) int32: the last view that hit and passed a cell;
-    counts (2, R, C) uint16: how many have. stamp: number of this view.
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def mark_hits(points, frame, marks, counts, stamp):
+    """Counts a hit for each cell and layer that one of points (N, 3) lies in, once a view.
+
+    points: x, y, height over ground. frame: x and y of the low corner, side of a cell; heights over ground at which
+    layers 0 and 1 begin, height of a layer. marks (2, L, R, C) int32: the last view that hit and that passed a cell;
+    counts (2, L, R, C) uint16: how many have. stamp: number of this view.
     """
-    rows, cols = marks.shape[1:]
+    layers, rows, cols = marks.shape[1:]
     for k in range(len(points)):
         i = math.floor((points[k, 1] - frame[1]) / frame[2])
         j = math.floor((points[k, 0] - frame[0]) / frame[2])
-        if 0 <= i < rows and 0 <= j < cols and marks[HIT, i, j] != stamp:
-            marks[HIT, i, j] = stamp
-            counts[HIT, i, j] = min(counts[HIT, i, j] + 1, FULL)
+        layer = layer_of(points[k, 2], frame, layers)
+        if 0 <= i < rows and 0 <= j < cols and layer >= 0 and marks[HIT, layer, i, j] != stamp:
+            marks[HIT, layer, i, j] = stamp
+            counts[HIT, layer, i, j] = min(counts[HIT, layer, i, j] + 1, FULL)
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def trace_rays(sensor, ends, stops, frame, ground, marks, counts, stamp):
-    """Counts a miss for each cell that a ray from the sensor passes near the ground, once a view, unless it was hit.
+    """Counts a miss for each cell that a ray from the sensor passes, in the layer that it passes it in, once a view,
+    unless it was hit there.
 
-    ends (N, 3); stops (N,): the share of each ray that counts. frame: as in mark_hits, then the lowest and highest
-    height above ground (R, C) that counts. Cell by cell as Amanatides and Woo, "A Fast Voxel Traversal Algorithm for
-    Ray Tracing", Eurographics 1987, from where a ray enters the grid.
+    ends (N, 3), m; stops (N,): the share of each ray that counts; ground (R, C): its height. frame, marks, counts: as in
+    mark_hits. Cell by cell as Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987,
+    from where a ray enters the grid.
     """
-    rows, cols = ground.shape
+    layers, rows, cols = marks.shape[1:]
     x, y = (sensor[0] - frame[0]) / frame[2], (sensor[1] - frame[1]) / frame[2]
     for k in range(len(ends)):
         dx, dy = (ends[k, 0] - sensor[0]) / frame[2], (ends[k, 1] - sensor[1]) / frame[2]
@@ -85,10 +97,10 @@ def trace_rays(sensor, ends, stops, frame, ground, marks, counts, stamp):
         while at < stop and 0 <= i < rows and 0 <= j < cols:
             leaves = min(next_x, next_y, stop)
             height = sensor[2] + 0.5 * (at + leaves) * (ends[k, 2] - sensor[2]) - ground[i, j]
-            unmarked = marks[HIT, i, j] != stamp and marks[MISS, i, j] != stamp
-            if unmarked and frame[3] <= height <= frame[4]:
-                marks[MISS, i, j] = stamp
-                counts[MISS, i, j] = min(counts[MISS, i, j] + 1, FULL)
+            layer = layer_of(height, frame, layers)
+            if layer >= 0 and marks[HIT, layer, i, j] != stamp and marks[MISS, layer, i, j] != stamp:
+                marks[MISS, layer, i, j] = stamp
+                counts[MISS, layer, i, j] = min(counts[MISS, layer, i, j] + 1, FULL)
             at = leaves
             if next_x <= next_y:
                 j += 1 if dx > 0.0 else -1

@@ -15,6 +15,7 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 # Evidence of a hit and of a miss, log odds (Hornung et al., "OctoMap", Autonomous Robots 2013, section 5.1).
 _HIT, _MISS = 0.85, -0.4
+_LAYER_M = 0.3  # a ray over a bush says nothing of the bush: heights are told apart
 _BELOW_M = -0.5  # under the ground as it is known: its own unevenness
 _CLEAR_CELLS = 1.5  # so far before the surface that it hits, measured across it, a ray says nothing
 _FLATTEST = 0.05  # cosine of the incidence
@@ -32,10 +33,12 @@ class Evidence:
         self._settings, self._ground = settings, ground
         corner = corner - _HALO * cell_m
         shape = (shape[0] + 2 * _HALO, shape[1] + 2 * _HALO)
-        self._frame = np.array([*corner, cell_m, _BELOW_M, settings.max_height_m])
+        standing_m = settings.max_height_m - settings.min_height_m
+        layers = max(1, round(standing_m / _LAYER_M))
+        self._frame = np.array([*corner, cell_m, _BELOW_M, settings.min_height_m, standing_m / layers])
         self._heights = ground.patch(corner, cell_m, shape)
-        self._marks = np.full((2, *shape), -1, np.int32)
-        self._counts = np.zeros((2, *shape), np.uint16)
+        self._marks = np.full((2, 1 + layers, *shape), -1, np.int32)
+        self._counts = np.zeros((2, 1 + layers, *shape), np.uint16)
 
     def add(self, view: View) -> None:
         """One more view."""
@@ -44,8 +47,8 @@ class Evidence:
         range_m = np.hypot(level[:, 0], level[:, 1])
         over_m = view.points[:, 2] - self._ground.at(view.points[:, :2])
         standing = over_m >= s.min_height_m
-        hits = view.points[standing & (over_m <= s.max_height_m) & (range_m <= s.range_m)]
-        mark_hits(hits, self._frame, self._marks, self._counts, view.number)
+        hits = standing & (range_m <= s.range_m)
+        mark_hits(np.column_stack([view.points[hits, :2], over_m[hits]]), self._frame, self._marks, self._counts, view.number)
         stops = np.where(standing, 1.0 - self._margin_m(view, level, range_m) / np.maximum(range_m, 1e-6), 1.0)
         stops = np.clip(np.minimum(stops, s.range_m / np.maximum(range_m, 1e-6)), 0.0, 1.0)
         trace_rays(view.sensor, view.points, stops, self._frame, self._heights, self._marks, self._counts, view.number)
@@ -67,11 +70,14 @@ class Evidence:
         return _CLEAR_CELLS * self._settings.resolution_m / np.maximum(cosine, _FLATTEST)
 
     def states(self) -> NDArray[np.uint8]:
-        """(R, C): UNKNOWN, FREE or OCCUPIED."""
-        hits, misses = self._counts[HIT].astype(np.float64), self._counts[MISS].astype(np.float64)
-        odds = _HIT * hits + _MISS * misses
-        state = np.where(odds < 0.0, FREE, UNKNOWN).astype(np.uint8)
-        state[(odds > 0.0) & (hits >= _NOISE_SHARE * _strongest_near(hits))] = OCCUPIED
+        """(R, C): OCCUPIED where something stands in any layer, FREE where nothing does and the lowest two, the ground
+        or what is just above the lowest obstacles, were seen through; UNKNOWN else.
+        """
+        odds = _HIT * self._counts[HIT].astype(np.float32) + _MISS * self._counts[MISS].astype(np.float32)
+        hits = self._counts[HIT].sum(axis=0, dtype=np.float64)
+        stands = (odds[1:] > 0.0).any(axis=0) & (hits >= _NOISE_SHARE * _strongest_near(hits))
+        state = np.where((odds[:2] < 0.0).any(axis=0), FREE, UNKNOWN).astype(np.uint8)
+        state[stands] = OCCUPIED
         return state[_HALO:-_HALO, _HALO:-_HALO]
 
 

@@ -88,14 +88,31 @@ class Ground:
             cells = self._cells(points)
             np.add.at(total, cells, points[:, 2])
             np.add.at(count, cells, 1.0)
-        known = count > 0
-        self.heights[known] = total[known] / count[known]
+        self.heights = _filled(np.divide(total, count, out=self.heights.copy(), where=count > 0), count > 0)
 
     def _near_ground(self, spool: ViewSpool) -> Iterator[Array]:
         for view in spool.views():
             points = self._inside(view)
             over_m = points[:, 2] - self.heights[self._cells(points)]
             yield points[(over_m >= -_BELOW_M) & (over_m <= _ABOVE_M)]
+
+
+def _filled(heights: Array, known: NDArray[np.bool_]) -> Array:
+    """What is not known, smoothly between what is: from coarser and coarser means (pull), finer ones first (push).
+
+    Gortler et al., "The Lumigraph", SIGGRAPH 1996, section 3.4.
+    """
+    if known.all() or min(heights.shape) < 2:
+        return heights if known.any() else np.full_like(heights, np.mean(heights))
+    rows, cols = heights.shape
+    pad = ((0, rows % 2), (0, cols % 2))
+    weight = np.pad(known.astype(np.float64), pad)
+    total = np.pad(np.where(known, heights, 0.0), pad)
+    halves = (weight.shape[0] // 2, 2, weight.shape[1] // 2, 2)
+    weight, total = weight.reshape(halves).sum(axis=(1, 3)), total.reshape(halves).sum(axis=(1, 3))
+    coarse = _filled(np.divide(total, weight, out=np.zeros_like(total), where=weight > 0), weight > 0)
+    row, col = (np.arange(rows) - 0.5) / 2.0, (np.arange(cols) - 0.5) / 2.0
+    return np.where(known, heights, _bilinear(coarse, row[:, None], col[None, :]))
 
 
 def _bilinear(heights: Array, row: Array, col: Array) -> Array:

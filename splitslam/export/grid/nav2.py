@@ -19,7 +19,7 @@ from splitslam.export.grid.spool import ViewSpool
 from splitslam.maps import MapPiece
 
 Array = NDArray[np.float64]
-_PART = 1024  # cells a side that are in memory at a time
+_PART = 512  # cells a side that are in memory at a time
 _BORDER_CELLS = 2
 _MOST_CELLS = 1 << 31
 _PIXEL = np.array([205, 254, 0], np.uint8)  # by state: unknown, free, occupied

@@ -17,7 +17,7 @@ class GridSettings:
     resolution_m: float = 0.05
     min_height_m: float = 0.2
     max_height_m: float = 2.0
-    range_m: float = 30.0
+    range_m: float = 20.0
 
     def __post_init__(self) -> None:
         """Raises InputError: one line that names the option and what was expected."""
