@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,7 @@ ELEVATIONS = np.radians(np.sort(ELEVATIONS_DEG)).astype(np.float32)
 _KNOTS = Knots(np.array([0, 100_000_000]), np.zeros((2, 3)), np.zeros((2, 3)))
 _STILL = Motion(np.eye(4), np.eye(6) * 1e-6, np.zeros(3), _KNOTS, np.array([0.0, 0.0, -1.0]), 0.01, True)
 _SAMPLE_M = 0.02
+_SMALL_STEPS = 14
 LOW_M = 0.3
 
 
@@ -69,7 +72,8 @@ def _spaced(trajectory: Trajectory, times: np.ndarray, every_m: float) -> list[f
 class Camera:
     """A VLP-16 that takes whole scans at once, and the edge's features of them."""
 
-    def __init__(self, beams: Beams) -> None:
+    def __init__(self, beams: Any) -> None:
+        """beams: has Beams' `cast`."""
         self._beams, self._settings = beams, FeatureSettings()
         self._projector = Projector(len(ELEVATIONS), COLUMNS)
         self._selector = Selector(self._settings, len(ELEVATIONS), COLUMNS)
@@ -111,21 +115,37 @@ def standing_cells(place: Place, low: np.ndarray, shape: tuple[int, int], settin
     near = ((flat_high[:, :2] >= low) & (flat_low[:, :2] <= high)).all(axis=1)
     over_m = triangles[..., 2] - place.ground_m(triangles[..., 0], triangles[..., 1])
     near &= (over_m.max(axis=1) > settings.min_height_m - 0.5) & (over_m.min(axis=1) < settings.max_height_m + 0.5)
-    for corners in triangles[near]:
-        # from the corner between the two shorter sides
-        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-        a, b, c = np.roll(corners, -int(np.argmax(sides)) - 1, axis=0)
-        u, v = b - a, c - a
-        n, m = (int(np.ceil(np.linalg.norm(side) / _SAMPLE_M)) + 1 for side in (u, v))
-        i, j = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
-        inside = i + j <= 1.0
-        points = a + i[inside][:, None] * u + j[inside][:, None] * v
+    for points in _sampled(triangles[near]):
         over_m = points[:, 2] - place.ground_m(points[:, 0], points[:, 1])
         points = points[(over_m >= settings.min_height_m) & (over_m <= settings.max_height_m)]
         at = np.floor((points[:, :2] - low) / settings.resolution_m).astype(int)
         at = at[((at >= 0) & (at < shape[::-1])).all(axis=1)]
         cells[at[:, 1], at[:, 0]] = True
     return cells
+
+
+def _sampled(triangles: np.ndarray) -> Iterator[np.ndarray]:
+    """Points (N, 3) of triangles (K, 3, 3), 2 cm apart or less; small triangles together."""
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+    opposite = (np.argmax(sides, axis=1) + 1) % 3  # the corner between the two shorter sides
+    a, b, c = (triangles[np.arange(len(triangles)), (opposite + k) % 3] for k in range(3))
+    steps = (np.ceil(np.maximum(*(np.linalg.norm(end - a, axis=1) for end in (b, c))) / _SAMPLE_M)).astype(int) + 1
+    small = steps <= _SMALL_STEPS
+    for rows in np.array_split(np.flatnonzero(small), max(1, small.sum() // 4000)):
+        i, j = _inside(_SMALL_STEPS, _SMALL_STEPS)
+        u, v = (b - a)[rows, None], (c - a)[rows, None]
+        yield (a[rows, None] + i[:, None] * u + j[:, None] * v).reshape(-1, 3)
+    for k in np.flatnonzero(~small).tolist():
+        u, v = b[k] - a[k], c[k] - a[k]
+        n, m = (int(np.ceil(np.linalg.norm(side) / _SAMPLE_M)) + 1 for side in (u, v))
+        i, j = _inside(n, m)
+        yield a[k] + i[:, None] * u + j[:, None] * v
+
+
+def _inside(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    i, j = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
+    inside = i + j <= 1.0
+    return i[inside], j[inside]
 
 
 def widened(cells: np.ndarray, by: int = 1) -> np.ndarray:

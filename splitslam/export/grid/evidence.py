@@ -22,6 +22,7 @@ _FLATTEST = 0.05  # cosine of the incidence
 _NEIGHBOUR = 0.06  # of the range: points of one surface in one ring are nearer to each other
 _NEIGHBOUR_M = 0.3
 _NOISE_SHARE = 0.1  # of the hits of a cell two away: what range noise leaves behind a surface
+_SURROUNDED = 5  # free cells of eight: beams of 3 mrad are wider than their line, from 17 m on wider than a cell
 _HALO = 2  # cells around a part that its own are compared with
 
 
@@ -46,9 +47,11 @@ class Evidence:
         level = view.points[:, :2] - view.sensor[:2]
         range_m = np.hypot(level[:, 0], level[:, 1])
         over_m = view.points[:, 2] - self._ground.at(view.points[:, :2])
-        standing = over_m >= s.min_height_m
+        standing = over_m >= s.min_height_m + self._ground.doubt_m(view.points[:, :2])
         hits = standing & (range_m <= s.range_m)
-        mark_hits(np.column_stack([view.points[hits, :2], over_m[hits]]), self._frame, self._marks, self._counts, view.number)
+        mark_hits(
+            np.column_stack([view.points[hits, :2], over_m[hits]]), self._frame, self._marks, self._counts, view.number
+        )
         stops = np.where(standing, 1.0 - self._margin_m(view, level, range_m) / np.maximum(range_m, 1e-6), 1.0)
         stops = np.clip(np.minimum(stops, s.range_m / np.maximum(range_m, 1e-6)), 0.0, 1.0)
         trace_rays(view.sensor, view.points, stops, self._frame, self._heights, self._marks, self._counts, view.number)
@@ -78,7 +81,16 @@ class Evidence:
         stands = (odds[1:] > 0.0).any(axis=0) & (hits >= _NOISE_SHARE * _strongest_near(hits))
         state = np.where((odds[:2] < 0.0).any(axis=0), FREE, UNKNOWN).astype(np.uint8)
         state[stands] = OCCUPIED
+        state[(state == UNKNOWN) & (_neighbours(state == FREE) >= _SURROUNDED) & (_neighbours(stands) == 0)] = FREE
         return state[_HALO:-_HALO, _HALO:-_HALO]
+
+
+def _neighbours(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(R, C): how many of the eight around each are set."""
+    padded = np.pad(cells, 1).astype(np.int64)
+    rows, cols = cells.shape
+    around = sum(padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3))
+    return around - padded[1:-1, 1:-1]
 
 
 def _strongest_near(hits: Array) -> Array:

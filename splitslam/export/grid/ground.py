@@ -16,6 +16,7 @@ _STEP_M = 0.35  # between neighbouring cells: a slope of 20 degrees
 _BELOW_M, _ABOVE_M = 0.1, 0.3  # about the lowest point: what is ground, a slope within the cell included
 _NEAR_M = (1.0, 8.0)  # from the sensor: where the ground's height below it is taken
 _MOST_CELLS = 4_000_000
+_DOUBT_M, _DOUBT_CELLS = 0.1, 4  # for each cell beyond the ground that was seen; up to so many
 
 
 class Ground:
@@ -35,6 +36,10 @@ class Ground:
         """Heights (N,) at points (N, 2), m; beyond the grid as at its edge."""
         at = (xy - self._low) / self._cell_m - 0.5
         return _bilinear(self.heights, at[:, 1], at[:, 0])
+
+    def doubt_m(self, xy: Array) -> Array:
+        """By how much the height at points (N, 2) may be wrong, (N,) m: 0 where points lie on the ground itself."""
+        return self._doubt_m[self._cells(xy)]
 
     def patch(self, corner: Array, cell_m: float, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Heights (R, C) at the middles of a grid's cells; corner (2,): its low one."""
@@ -88,7 +93,9 @@ class Ground:
             cells = self._cells(points)
             np.add.at(total, cells, points[:, 2])
             np.add.at(count, cells, 1.0)
-        self.heights = _filled(np.divide(total, count, out=self.heights.copy(), where=count > 0), count > 0)
+        known = count > 0
+        self.heights = _filled(np.divide(total, count, out=self.heights.copy(), where=known), known)
+        self._doubt_m = _doubt_m(known)
 
     def _near_ground(self, spool: ViewSpool) -> Iterator[Array]:
         for view in spool.views():
@@ -113,6 +120,16 @@ def _filled(heights: Array, known: NDArray[np.bool_]) -> Array:
     coarse = _filled(np.divide(total, weight, out=np.zeros_like(total), where=weight > 0), weight > 0)
     row, col = (np.arange(rows) - 0.5) / 2.0, (np.arange(cols) - 0.5) / 2.0
     return np.where(known, heights, _bilinear(coarse, row[:, None], col[None, :]))
+
+
+def _doubt_m(known: NDArray[np.bool_]) -> Array:
+    """(R, C): more with each cell to the next one whose ground was seen."""
+    doubt_m = np.zeros(known.shape)
+    for _ in range(_DOUBT_CELLS):
+        doubt_m[~known] += _DOUBT_M
+        padded = np.pad(known, 1)
+        known = known | padded[2:, 1:-1] | padded[:-2, 1:-1] | padded[1:-1, 2:] | padded[1:-1, :-2]
+    return doubt_m
 
 
 def _bilinear(heights: Array, row: Array, col: Array) -> Array:
