@@ -60,7 +60,7 @@ def scored(drive: Drive, loaded: LoadedMap, settings: GridSettings = SETTINGS) -
 
 
 WALKS: dict[str, tuple[DriveSpec, float, float]] = {
-    "campus, four people walking": (DEMO, 2.0, 12.0),
+    "campus, four people walking": (DEMO, 2.0, 14.0),
     "corridor": (replace(DRIVES["corridor"], perturbations=Perturbations()), 0.0, 8.0),
 }
 

@@ -20,7 +20,9 @@ _BELOW_M = -0.5  # under the ground as it is known: its own unevenness
 _CLEAR_CELLS = 1.5  # so far before the surface that it hits, measured across it, a ray says nothing
 _FLATTEST = 0.05  # cosine of the incidence
 _NEIGHBOUR = 0.06  # of the range: points of one surface in one ring are nearer to each other
-_NEIGHBOUR_M = 0.3
+_NEIGHBOUR_M = 0.6
+_BETWEEN_CELLS = 2.0  # between rays at their ends
+_DIRECTIONS = 720
 _NOISE_SHARE = 0.1  # of the hits of a cell two away: what range noise leaves behind a surface
 _SURROUNDED = 5  # free cells of eight: beams of 3 mrad are wider than their line, from 17 m on wider than a cell
 _HALO = 2  # cells around a part that its own are compared with
@@ -44,17 +46,22 @@ class Evidence:
     def add(self, view: View) -> None:
         """One more view."""
         s = self._settings
+        standing, over_m = self._standing(view.points)
         level = view.points[:, :2] - view.sensor[:2]
         range_m = np.hypot(level[:, 0], level[:, 1])
-        over_m = view.points[:, 2] - self._ground.at(view.points[:, :2])
-        standing = over_m >= s.min_height_m + self._ground.doubt_m(view.points[:, :2])
         hits = standing & (range_m <= s.range_m)
-        mark_hits(
-            np.column_stack([view.points[hits, :2], over_m[hits]]), self._frame, self._marks, self._counts, view.number
-        )
-        stops = np.where(standing, 1.0 - self._margin_m(view, level, range_m) / np.maximum(range_m, 1e-6), 1.0)
-        stops = np.clip(np.minimum(stops, s.range_m / np.maximum(range_m, 1e-6)), 0.0, 1.0)
-        trace_rays(view.sensor, view.points, stops, self._frame, self._heights, self._marks, self._counts, view.number)
+        points = np.column_stack([view.points[hits, :2], over_m[hits]])
+        mark_hits(points, self._frame, self._marks, self._counts, view.number)
+        margin_m = np.where(standing, self._margin_m(view, level, range_m), 0.0)
+        ends, margin_m = with_those_between(view, standing, margin_m, _BETWEEN_CELLS * s.resolution_m)
+        range_m = np.maximum(np.hypot(*(ends[:, :2] - view.sensor[:2]).T), 1e-6)
+        stops = np.clip(np.minimum(1.0 - margin_m / range_m, s.range_m / range_m), 0.0, 1.0)
+        trace_rays(view.sensor, ends, stops, self._frame, self._heights, self._marks, self._counts, view.number)
+
+    def _standing(self, points: Array) -> tuple[NDArray[np.bool_], Array]:
+        """(N,) which of points (N, 3) stand on the ground rather than being it, and how high over it they are, m."""
+        over_m = points[:, 2] - self._ground.at(points[:, :2])
+        return over_m >= self._settings.min_height_m + self._ground.doubt_m(points[:, :2]), over_m
 
     def _margin_m(self, view: View, level: Array, range_m: Array) -> Array:
         """(N,) how far before its end a ray runs within a cell or so of the surface that it hits.
@@ -62,9 +69,7 @@ class Evidence:
         A ray that grazes a wall runs along it for metres, in the wall's own cells. The wall's direction is that of the
         neighbours in the ring; without them it is taken to stand across.
         """
-        steps = np.diff(view.points, axis=0)
-        near = np.linalg.norm(steps, axis=1) < np.maximum(_NEIGHBOUR * range_m[1:], _NEIGHBOUR_M)
-        steps = np.where(near[:, None], steps[:, :2], 0.0)
+        steps = np.where(neighbours(view)[:, None], np.diff(view.points[:, :2], axis=0), 0.0)
         nothing = np.zeros((1, 2))
         along = np.concatenate([steps, nothing]) + np.concatenate([nothing, steps])
         length = np.linalg.norm(along, axis=1)
@@ -81,11 +86,48 @@ class Evidence:
         stands = (odds[1:] > 0.0).any(axis=0) & (hits >= _NOISE_SHARE * _strongest_near(hits))
         state = np.where((odds[:2] < 0.0).any(axis=0), FREE, UNKNOWN).astype(np.uint8)
         state[stands] = OCCUPIED
-        state[(state == UNKNOWN) & (_neighbours(state == FREE) >= _SURROUNDED) & (_neighbours(stands) == 0)] = FREE
+        state[(state == UNKNOWN) & (_around(state == FREE) >= _SURROUNDED) & (_around(stands) == 0)] = FREE
         return state[_HALO:-_HALO, _HALO:-_HALO]
 
 
-def _neighbours(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+def neighbours(view: View) -> NDArray[np.bool_]:
+    """(N - 1,) whether each point and the next one are of one surface in one ring."""
+    range_m = np.linalg.norm(view.points - view.sensor, axis=1)
+    apart_m = np.linalg.norm(np.diff(view.points, axis=0), axis=1)
+    return apart_m < np.maximum(_NEIGHBOUR * np.minimum(range_m[1:], range_m[:-1]), _NEIGHBOUR_M)
+
+
+def with_those_between(
+    view: View, standing: NDArray[np.bool_], margin_m: Array, spacing_m: float
+) -> tuple[Array, Array]:
+    """The points of a view and those between neighbours on the ground, `spacing_m` apart: ends (M, 3), margins (M,), m.
+
+    The edge has thinned the returns of a smooth surface to one in 0.4 m; the beams between them went the same way.
+    Not where something stands in the same direction and nearer: it may have caught them.
+    """
+    first = np.flatnonzero(neighbours(view) & ~standing[1:] & ~standing[:-1])
+    steps = view.points[first + 1] - view.points[first]
+    count = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / spacing_m).astype(np.int64) - 1, 0)
+    which = np.repeat(np.arange(len(first)), count)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count) + 1.0) / (count[which] + 1.0)
+    between = view.points[first[which]] + share[:, None] * steps[which]
+    bins, range_m = _directions(view.points[standing], view.sensor)
+    nearest_m = np.full(_DIRECTIONS, np.inf)
+    np.minimum.at(nearest_m, bins, range_m)
+    nearest_m = np.minimum(nearest_m, np.minimum(np.roll(nearest_m, 1), np.roll(nearest_m, -1)))
+    bins, range_m = _directions(between, view.sensor)
+    between = between[range_m < nearest_m[bins]]
+    return np.concatenate([view.points, between]), np.concatenate([margin_m, np.zeros(len(between))])
+
+
+def _directions(points: Array, sensor: Array) -> tuple[NDArray[np.int64], Array]:
+    """Direction (N,) 0 to _DIRECTIONS - 1 and distance (N,), m, of points in the plane."""
+    x, y = (points[:, :2] - sensor[:2]).T
+    turn = np.arctan2(y, x) / (2 * np.pi) + 0.5
+    return np.minimum((turn * _DIRECTIONS).astype(np.int64), _DIRECTIONS - 1), np.hypot(x, y)
+
+
+def _around(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
     """(R, C): how many of the eight around each are set."""
     padded = np.pad(cells, 1).astype(np.int64)
     rows, cols = cells.shape
