@@ -78,9 +78,9 @@ def cost_of(name: str, points: int, voxel_m: float, out: Path) -> Cost:
         path, written = out / "map.pgm", points
     else:
         written = cloud_writer(name)(path, made_map(points, voxel_m), InUtm(_SOMEWHERE), "made")
-    spent = time.monotonic() - start_s, time.process_time() - start_cpu_s
+    wall_s, cpu_s = round(time.monotonic() - start_s, 1), round(time.process_time() - start_cpu_s, 1)
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Cost(name, written, round(peak_mb), *(round(s, 1) for s in spent), round(path.stat().st_size / 1e6))
+    return Cost(name, written, round(peak_mb), wall_s, cpu_s, round(path.stat().st_size / 1e6))
 
 
 def measured(name: str, points: int, voxel_m: float = 0.0, folder: Path | None = None) -> Cost:

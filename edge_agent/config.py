@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.live_settings import LiveConfig
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.settings import PipelineSettings
 from splitslam.config import Model
@@ -33,20 +34,44 @@ def _server(server: str) -> str:
     return server
 
 
-class SourceConfig(Model):
-    """Where scans and samples come from.
+SOURCES = ("recording", "live")  # sections of `source`, of which a configuration has exactly one
 
-    realtime: paced by the recording's clock; otherwise lockstep, as fast as it goes and reproducible.
-    queue_scans: scans that may wait to be processed; more are dropped (realtime) or not read yet (lockstep).
+
+class SourceConfig(Model):
+    """Where scans and samples come from: a recording, or sensors.
+
+    realtime: a recording paced by its clock; otherwise lockstep, as fast as it goes and reproducible. Sensors are
+    always by the clock.
+    queue_scans: scans that may wait to be processed; more are dropped (by the clock) or not read yet (lockstep).
     began_s: realtime only: when the recording's first message was (or will be) due, on the system's monotonic clock.
     What was due before the agent listens has passed, as with a sensor; null: the recording begins when the agent does.
     """
 
-    recording: Path
+    recording: Path | None = None
+    live: LiveConfig | None = None
     realtime: bool = False
     max_scans: Annotated[int, Field(ge=1)] | None = None
     queue_scans: Annotated[int, Field(ge=1)] = 20
     began_s: float | None = None
+
+    @property
+    def by_the_clock(self) -> bool:
+        """Nobody waits for anybody: scans that come too fast are dropped."""
+        return self.realtime or self.recording is None
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return str(self.recording) if self.recording is not None else next(k for k in SOURCES if getattr(self, k))
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        there = [kind for kind in SOURCES if getattr(self, kind) is not None]
+        if len(there) != 1:
+            raise ValueError(f"expected exactly one of {', '.join(SOURCES)}, found {' and '.join(there) or 'none'}")
+        if self.recording is None and (self.realtime or self.max_scans is not None or self.began_s is not None):
+            raise ValueError("realtime, max_scans, began_s: expected only with recording")
+        return self
 
     @model_validator(mode="after")
     def _only_by_the_clock(self) -> Self:

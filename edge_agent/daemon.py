@@ -25,10 +25,10 @@ from edge_agent.odometry.outage import Outages
 from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.raw_ring import RawRing
-from edge_agent.reader import EventQueue, Reader, TimedEvent
+from edge_agent.reader import EventQueue, Reader
 from edge_agent.run_store import RunStore
 from edge_agent.sink import AgentSink, Progress
-from edge_agent.sources import Recording, Sequencer, open_recording
+from edge_agent.sources import Sequencer, Source, TimedEvent, open_source
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
@@ -51,13 +51,12 @@ def run_agent(config: AgentConfig, stop: threading.Event, notifier: Notifier | N
     notifier: the service manager, told when scans can come, that they do, and of the end. `stop` is set in any case
     when this returns. Raises InputError for what the user can mend; nothing half-written is left behind.
     """
-    robot = _robot(config)
-    recording = open_recording(config.source.recording, robot, max_scans=config.source.max_scans)
-    for note in recording.notes:
+    metrics = EdgeMetrics(keep=config.output.dir is not None)
+    source = open_source(config.source, _robot(config), metrics)
+    for note in source.notes:
         print(note, file=sys.stderr)
     with ExitStack() as cleanup:
-        cleanup.callback(recording.close)
-        metrics = EdgeMetrics(keep=config.output.dir is not None)
+        cleanup.callback(source.close)
         if config.metrics.port is not None:
             port = metrics.serve(config.metrics.host, config.metrics.port)
             cleanup.callback(metrics.close)
@@ -66,7 +65,7 @@ def run_agent(config: AgentConfig, stop: threading.Event, notifier: Notifier | N
         outputs = Outputs(config.output.dir) if config.output.dir else None
         if outputs is not None:
             cleanup.callback(outputs.discard)  # does nothing once they are published
-        _Run(config, recording, metrics, outputs, notifier or Notifier({}), cleanup).run(stop)
+        _Run(config, source, metrics, outputs, notifier or Notifier({}), cleanup).run(stop)
 
 
 def _robot(config: AgentConfig) -> Robot:
@@ -86,19 +85,19 @@ class _Run:
     def __init__(
         self,
         config: AgentConfig,
-        recording: Recording,
+        source: Source,
         metrics: EdgeMetrics,
         outputs: Outputs | None,
         notifier: Notifier,
         cleanup: ExitStack,
     ) -> None:
-        self._config, self._recording, self._metrics, self._outputs = config, recording, metrics, outputs
+        self._config, self._source, self._metrics, self._outputs = config, source, metrics, outputs
         self._notifier, self._cleanup = notifier, cleanup
-        source, robot = config.source, recording.robot
-        beams = recording.beam_elevations_rad
+        robot, beams = source.robot, source.beam_elevations_rad
+        by_the_clock = config.source.by_the_clock
         ring = _raw_ring(config)
         if ring is not None:
-            recording.tap = ring.add
+            source.tap = ring.add
             cleanup.callback(ring.close)
         self._imu = make_imu_node(robot, config.imu)
         self._pipeline = EdgePipeline(robot, config.pipeline, beams, self._imu)
@@ -108,7 +107,7 @@ class _Run:
         notifier.status("compiling kernels, or reading them from the cache")
         with counted() as kernels:
             warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
-        clock_ns = time.monotonic_ns if source.realtime else None
+        clock_ns = time.monotonic_ns if by_the_clock else None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
         metrics.spool_limit.set(config.spool.max_bytes if config.spools else 0)
@@ -122,9 +121,10 @@ class _Run:
             config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
         )
         metrics.certificate_from(self._uplink.certificate_expires_s)
-        self._queue = EventQueue(source.queue_scans, source.realtime, metrics)
-        self._after = StartAfter(0, -(2**62))
-        self._reader = Reader(self._events(), self._queue, source.realtime, source.began_s)
+        self._queue = EventQueue(config.source.queue_scans, by_the_clock, metrics)
+        self._after = StartAfter(0, -(2**62), live=source.live_offset_ns is not None)
+        began_s, offset_ns = config.source.began_s, source.live_offset_ns
+        self._reader = Reader(self._events(), self._queue, by_the_clock, began_s, offset_ns)
         feed = None
         if config.feed.socket is not None:
             feed = PoseFeed(config.feed, config.feed.socket, robot.T_body_lidar, metrics)
@@ -133,7 +133,7 @@ class _Run:
         self._progress = Progress(config.output.progress)
         self._sequencer = Sequencer(robot)
         self._check = LiveCheck(robot, metrics)
-        metrics.drop_sources += [recording.dropped, self._sequencer.dropped]
+        metrics.drop_sources += [source.dropped, self._sequencer.dropped]
         metrics.clock_step_sources.append(self._sequencer.times.steps)
         metrics.imu_from(self._imu_gaps, lambda: self._imu.resets, lambda: self._sequencer.uncovered)
         metrics.scans_from(self._scans, lambda: dict(self._tally.corrections_by_cause))
@@ -155,7 +155,7 @@ class _Run:
         return pb.Hello(
             robot_id=robot.robot.id,
             robot_file_yaml=robot_for_service(robot),
-            beam_elevations_rad=self._recording.beam_elevations_rad.tolist(),
+            beam_elevations_rad=self._source.beam_elevations_rad.tolist(),
             wire_version=WIRE_VERSION,
             codec_version=CODEC_VERSION,
             site_id=config.site_id,
@@ -163,7 +163,7 @@ class _Run:
             agent_version=__version__,
             deskew=self._pipeline.image_node.name,
             disable=[part for part in config.disable if part != EDGE_ONLY],
-            lockstep=not config.source.realtime,
+            lockstep=not config.source.by_the_clock,
         )
 
     def run(self, stop: threading.Event) -> None:
@@ -187,7 +187,7 @@ class _Run:
         if not (patient and self._store.says_how_far) and self._uplink.wait_welcome() is None:
             return
         loop = self._loop()
-        self._progress.start(self._recording.scan_count)
+        self._progress.start(self._source.scan_count)
         gc.freeze()  # the collector would look at all that was imported and made so far every few seconds
         self._cleanup.callback(gc.unfreeze)
         gc.enable()
@@ -217,7 +217,8 @@ class _Run:
 
         def status() -> str:
             link = "connected" if self._uplink.anchored else "not connected"
-            return f"{state_name(loop.state)}; {link}, {self._uplink.kept} frames kept"
+            said = f"{state_name(loop.state)}; {link}, {self._uplink.kept} frames kept"
+            return "; ".join(filter(None, (said, self._source.status())))
 
         pulses = (self._reader.pulse, loop.pulse)
         watchdog = Watchdog(self._notifier, pulses, lambda: self._sink.read, status)
@@ -231,8 +232,8 @@ class _Run:
         self._reader.stop()
         self._uplink.stop()
 
-    def _events(self) -> Iterator[TimedEvent]:
-        yield from self._after.events(self._recording.events())
+    def _events(self) -> Iterator[TimedEvent | None]:
+        yield from self._after.events(self._source.events())
 
     def _loop(self) -> AgentLoop:
         """A continued run goes on after the last scan that is on disk or that the service has, whichever is newer."""
@@ -248,7 +249,7 @@ class _Run:
             check=self._check,
             outages=self._outages,
         )
-        by_the_clock = self._config.source.realtime
+        by_the_clock = self._config.source.by_the_clock
         return AgentLoop(parts, not by_the_clock, self._after.seq + 1, self._reader.due_s if by_the_clock else None)
 
     def _go_on(self) -> None:
@@ -269,11 +270,11 @@ class _Run:
                 ", ".join(f"{count} {reason}" for reason, count in sorted(self._metrics.all_dropped().items()))
                 or "none in it"
             )
-            raise InputError(f"{self._config.source.recording}: no usable scans ({why}); expected at least one")
+            raise InputError(f"{self._config.source.name}: no usable scans ({why}); expected at least one")
 
     @property
     def _scans_read(self) -> int:
-        return self._recording.counts.scans_read - self._after.skipped - self._reader.passed_scans
+        return self._source.counts.scans_read - self._after.skipped - self._reader.passed_scans
 
     def _scans(self) -> dict[str, int]:
         tally = self._tally
@@ -291,8 +292,8 @@ class _Run:
 
     def _report(self, stopped: bool) -> dict[str, Any]:
         """edge.json: the edge's part of report.json under the same keys, and series by scan for the plots."""
-        tally, counts = self._tally, self._recording.counts
-        recording_s = (self._recording.end_ns - self._recording.start_ns) * 1e-9
+        tally, counts = self._tally, self._source.counts
+        recording_s = (self._source.end_ns - self._source.start_ns) * 1e-9
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
         read = self._scans_read
         welcome = self._uplink.welcome

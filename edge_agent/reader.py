@@ -7,16 +7,18 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.pulse import Pulse
-from edge_agent.sources import Event
+from edge_agent.sources import TimedEvent
 from splitslam.scan import Scan
 
-TimedEvent = tuple[int, Event]  # arrival time in the recording, ns
 _BATCH = 256  # events without a scan that are handed over together
 _MAX_EVENTS = 100_000
 _TICK_S = 0.005  # by the clock, what is due within one tick travels together
+_IDLE_S = 0.1  # without events a live source's loop gets an empty batch, to look for answers
+_END: Any = object()
 
 
 class EventQueue:
@@ -104,24 +106,31 @@ class Reader(threading.Thread):
 
     realtime: each event waits until as much time has passed as lies between it and the first in the recording.
     Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
+    live_offset_ns: of a live source (Source.live_offset_ns): nothing waits, and a batch is what came together.
     began_s: when the first event is due, on the monotonic clock; what is past when the reader gets there is skipped,
     and its scans are counted in `passed_scans`.
     """
 
     def __init__(
-        self, events: Iterable[TimedEvent], queue: EventQueue, realtime: bool, began_s: float | None = None
+        self,
+        events: Iterable[TimedEvent | None],
+        queue: EventQueue,
+        realtime: bool,
+        began_s: float | None = None,
+        live_offset_ns: int | None = None,
     ) -> None:
         super().__init__(name="reader", daemon=True)
-        self._events, self._queue, self._realtime = events, queue, realtime
+        self._events, self._queue = events, queue
+        self._paced = realtime and live_offset_ns is None
         self._stopped = threading.Event()
-        self._began_s = began_s if realtime else None
-        self._origin_s = float("nan")
+        self._began_s = began_s if self._paced else None
+        self._origin_s = float("nan") if live_offset_ns is None else -live_offset_ns * 1e-9
         self.cpu_s = 0.0
         self.pulse = Pulse("source")
         self.passed_scans = 0
 
     def due_s(self, arrival_ns: int) -> float:
-        """When what the recording says came at `arrival_ns` is due, on the monotonic clock; by the clock only."""
+        """When what the source says came at `arrival_ns` is or was due, on the monotonic clock; by the clock only."""
         return self._origin_s + arrival_ns * 1e-9
 
     def stop(self) -> None:
@@ -130,7 +139,7 @@ class Reader(threading.Thread):
         self._queue.close()
 
     def close(self) -> None:
-        """The same, and waits until the recording is not used any more."""
+        """The same, and waits until the source is not used any more."""
         self.stop()
         if self.is_alive():
             self.join()
@@ -143,21 +152,31 @@ class Reader(threading.Thread):
             error = caught
         self._queue.end(error)
 
-    def _pulled(self) -> Iterator[TimedEvent]:
+    def _pulled(self) -> Iterator[TimedEvent | None]:
         events = iter(self._events)
         while True:
             with self.pulse.working():
-                event = next(events, None)
-            if event is None:
+                event = next(events, _END)
+            if event is _END:
                 return
             yield event
 
     def _read(self) -> None:
         batch: list[TimedEvent] = []
         listening = self._began_s is None
+        put_s = 0.0
         for event in self._pulled():
             self.cpu_s = time.thread_time()
-            if self._realtime:
+            if event is None:  # nothing more has come; the loop looks for answers even if nothing ever does
+                if batch or time.monotonic() - put_s > _IDLE_S:
+                    put_s = time.monotonic()
+                    if not self._queue.put(batch):
+                        return
+                    batch = []
+                if self._stopped.is_set():
+                    return
+                continue
+            if self._paced:
                 now_s = time.monotonic()
                 if math.isnan(self._origin_s):
                     self._origin_s = (now_s if self._began_s is None else self._began_s) - event[0] * 1e-9

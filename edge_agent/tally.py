@@ -10,7 +10,7 @@ from typing import Any
 
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.rate import RateControl
-from edge_agent.sources.recording import Counts
+from edge_agent.sources import Counts
 from edge_agent.tcp_meter import TcpBytes
 from edge_agent.types import EncodedFrame
 from edge_agent.wire import Answer

@@ -41,7 +41,7 @@ class StoredKeyframe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredGraph:
-    """Rows of a session's graph. keyframes: (index, stamp_ns, T_map_lidar (4, 4)); tracker: as persistence.py has it."""
+    """A session's graph. keyframes: (index, stamp_ns, T_map_lidar (4, 4)); tracker: as persistence.py writes it."""
 
     keyframes: list[tuple[int, int, np.ndarray]]
     factors: list[FactorRecord]

@@ -205,7 +205,8 @@ def load_robot(path: Path) -> Robot:
     data = config.parse_yaml(config.read_text(path), str(path))
     lidar = data.get("lidar")
     if isinstance(lidar, dict) and isinstance(lidar.get("metadata"), str):
-        data["lidar"] = {**_from_metadata(path.parent / lidar["metadata"]), **lidar}
+        metadata = path.parent / lidar["metadata"]
+        data["lidar"] = {**_from_metadata(metadata), **lidar, "metadata": str(metadata)}
     return config.validate(Robot, data, str(path))
 
 

@@ -1,8 +1,9 @@
-"""Where sensor data comes from: recordings, and the sequencer that joins scans with the IMU."""
+"""Where sensor data comes from: recordings, live sensors, and the sequencer that joins scans with the IMU."""
 
 from __future__ import annotations
 
-from edge_agent.sources.recording import Event, Recording, open_recording
+from edge_agent.sources.recording import Recording, open_recording
 from edge_agent.sources.sequencer import Sequencer
+from edge_agent.sources.source import Counts, Event, Source, TimedEvent, open_source
 
-__all__ = ["Event", "Recording", "Sequencer", "open_recording"]
+__all__ = ["Counts", "Event", "Recording", "Sequencer", "Source", "TimedEvent", "open_recording", "open_source"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from edge_agent.raw_ring import RawStream
+from edge_agent.sources.source import Tap
 from splitslam.errors import DataError, InputError
 
 _VELODYNE_TYPES = {
@@ -19,9 +20,6 @@ _VELODYNE_TYPES = {
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
 }
 _EXPECTED = "expected a ROS 1 .bag, a ROS 2 bag folder, .db3 or .mcap"
-
-
-Tap = Callable[[RawStream, int, bytes], None]
 
 
 class Bag:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.sources import beams, messages, topics
-from edge_agent.sources.bag import Bag, Tap
+from edge_agent.sources.bag import Bag
 from edge_agent.sources.cloud_decoder import CloudDecoder
 from edge_agent.sources.pointcloud2 import read_table
 from edge_agent.sources.raw import Gate, RawScan
+from edge_agent.sources.source import Counts, Tap, TimedEvent
 from edge_agent.sources.velodyne import VelodyneDecoder
 from splitslam.errors import DataError, InputError
 from splitslam.logs import fields
 from splitslam.robot import Robot
-from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
+from splitslam.scan import ImuSamples, Scan, WheelSamples
 
 _log = logging.getLogger(__name__)
-Event = Scan | ImuSamples | WheelSamples | GnssFix
 _FIRST_SCANS = 5
 _TAIL_NS = 500_000_000  # after the last scan wanted: how long to read on for IMU samples that cover it
 
@@ -43,33 +42,12 @@ def open_recording(path: Path, robot: Robot, *, max_scans: int | None = None) ->
         raise
 
 
-@dataclass(slots=True)
-class Counts:
-    """What has been read so far.
-
-    read_points: valid points, after the gates. native_bytes: the sensor's own packets, 0 when there are none.
-    left_out: points that were left out, by reason: nan, zero, gated (range), cropped, unknown_ring.
-    """
-
-    scans_read: int = 0
-    imu_messages: int = 0
-    read_points: int = 0
-    native_bytes: int = 0
-    left_out: Counter[str] = field(default_factory=Counter)
-
-
 class Recording:
-    """One pass over a recording; `events` can be iterated once.
-
-    robot: the robot file with the chosen topics filled in, imu, wheels and gnss None when the recording has none.
-    beam_elevations_rad: (rings,) float32. topics: sensor -> topic. notes: lines to print once.
-    dropped: messages that could not be used, by reason. start_ns, end_ns: recorded time (arrival) of the first and
-    last message of the part read so far, 0 before the first.
-    scan_count: scans to expect, by the recording's index. tap: set it to see each message raw as `events` reads it.
-    """
+    """A Source: one pass over a recording. scan_count: by its index. start_ns, end_ns: in recorded time."""
 
     def __init__(self, bag: Bag, robot: Robot, max_scans: int | None) -> None:
         self.tap: Tap | None = None
+        self.live_offset_ns: int | None = None
         self._bag = bag
         self._name = str(bag.path)
         self._max_scans = max_scans
@@ -80,7 +58,7 @@ class Recording:
         self.end_ns = 0
         self.robot, self.topics = self._choose_topics(robot)
         lidar_topic = self.topics["lidar"]
-        self.scan_count = min(bag.count(lidar_topic), max_scans if max_scans is not None else 2**62)
+        self.scan_count: int | None = min(bag.count(lidar_topic), max_scans if max_scans is not None else 2**62)
         kind = bag.topics()[lidar_topic]
         self._decoder: CloudDecoder | VelodyneDecoder
         if kind == topics.VELODYNE_SCAN:
@@ -93,7 +71,7 @@ class Recording:
             self.notes.extend(self._decoder.notes)
         self._gate = Gate(self.robot, self.counts.left_out)
 
-    def events(self) -> Iterator[tuple[int, Event]]:
+    def events(self) -> Iterator[TimedEvent]:
         """(arrival time ns, event) in recording order; closes the recording at its end.
 
         A message that cannot be used is counted in `dropped` and left out.
@@ -129,6 +107,10 @@ class Recording:
                     _log.log(level, "message left out", extra=said)
                     continue
                 yield arrival_ns, event
+
+    def status(self) -> str:
+        """Nothing: a recording is what it is."""
+        return ""
 
     def close(self) -> None:
         """Closes the file when `events` was not read to its end."""

@@ -58,7 +58,8 @@ def _information(between: Between) -> Array:
     g2o's error is the translation and the vector part of the quaternion, half the rotation vector; gtsam, Ceres and
     most others read the rotation's information as that of the rotation vector, and so it is written.
     """
-    return np.linalg.inv(between.covariance)[np.ix_(_TRANSLATION_FIRST, _TRANSLATION_FIRST)]
+    information = np.linalg.inv(between.covariance)[np.ix_(_TRANSLATION_FIRST, _TRANSLATION_FIRST)]
+    return information.astype(np.float64)
 
 
 def _position(fix: AntennaFix, graph: MapGraph) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ class LoadedMap:
 
 
 def load(path: Path, free_thresh: float | None = None) -> LoadedMap:
-    """Raises KeyError for a missing key, ValueError for what Nav2 would not take. free_thresh: instead of the file's."""
+    """Raises KeyError for a missing key, ValueError for what Nav2 does not take. free_thresh: not the file's."""
     document = yaml.safe_load(path.read_text())
     name = str(document["image"])
     if not name:

@@ -14,6 +14,7 @@ import pyproj
 import pytest
 from scipy.spatial import KDTree
 
+from splitslam import se3
 from splitslam.errors import InputError
 from splitslam.export.command import cloud_writer
 from splitslam.export.gps_time import adjusted_gps_s
@@ -141,7 +142,7 @@ def test_a_las_file_says_where_on_earth_it_is(name: str, tmp_path: Path) -> None
     # the origin of enu, by way of the file's own reference system
     to_utm = pyproj.Transformer.from_crs("EPSG:4326", crs)
     expected = np.array(to_utm.transform(CHILE.latitude_deg, CHILE.longitude_deg))
-    origin_map = np.linalg.inv(CHILE.T_enu_map)[:3, 3]
+    origin_map = se3.inv(CHILE.T_enu_map)[:3, 3]
     np.testing.assert_allclose(InUtm(CHILE).place(origin_map[None])[0], [*expected, CHILE.altitude_m], atol=1e-6)
 
 

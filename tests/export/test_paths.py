@@ -31,8 +31,10 @@ def test_geojson_is_where_the_robot_was_and_when(tmp_path: Path) -> None:
     assert feature["geometry"]["type"] == "LineString"
     positions = SOURCE.trajectory().positions_m @ YOKOHAMA.T_enu_map[:3, :3].T + YOKOHAMA.T_enu_map[:3, 3]
     origin = YOKOHAMA.latitude_deg, YOKOHAMA.longitude_deg, YOKOHAMA.altitude_m
-    for (longitude, latitude, height), enu in zip(feature["geometry"]["coordinates"], positions, strict=True):
-        expected = pymap3d.enu2geodetic(*enu.tolist(), *origin)
+    for (longitude, latitude, height), (east, north, up) in zip(
+        feature["geometry"]["coordinates"], positions.tolist(), strict=True
+    ):
+        expected = pymap3d.enu2geodetic(east, north, up, *origin)
         assert (latitude, longitude, height) == pytest.approx(expected, abs=1e-4)
         assert (latitude, longitude) == pytest.approx(expected[:2], abs=2e-9)  # 0.2 mm
     times = [datetime.fromisoformat(text) for text in feature["properties"]["coordTimes"]]

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 
 import laspy
 import numpy as np
+from laspy.point.record import PackedPointRecord
 from laspy.vlrs.known import LasZipVlr
 from laspy.vlrs.vlrlist import VLRList
 
@@ -54,7 +55,7 @@ def _write(file: BinaryIO, octree: Octree, placing: Placing) -> int:
     nodes: list[tuple[Node, int, int]] = []  # with start and number of points
     root = octree.root()
     for node, records in octree.nodes():
-        header.grow(laspy.point.record.PackedPointRecord(records, header.point_format))
+        header.grow(PackedPointRecord(records, header.point_format))
         if nodes:  # not after the last one: LASzip reads no file that ends with an empty chunk
             compressor.finish_current_chunk()
         nodes.append((node, file.tell(), len(records)))

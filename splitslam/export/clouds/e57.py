@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import importlib
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -131,7 +131,7 @@ class _Scan:
             start = {"dateTimeValue": self._start_s + 1e9, "isAtomicClockReferenced": 0}
             scan.set("acquisitionStart", self._structure(start))
 
-    def _structure(self, values: dict[str, str | float | int]) -> Any:
+    def _structure(self, values: Mapping[str, str | float | int]) -> Any:
         node = self._lib.StructureNode(self._image)
         for key, value in values.items():
             kind = {str: "StringNode", int: "IntegerNode", float: "FloatNode"}[type(value)]

@@ -11,6 +11,7 @@ from typing import Any
 
 import laspy
 import numpy as np
+from laspy.point.record import PackedPointRecord
 from laspy.vlrs.known import WktCoordinateSystemVlr
 
 from splitslam.errors import InputError
@@ -59,7 +60,7 @@ def write_las_cloud(path: Path, pieces: Iterable[MapPiece], placing: Placing, co
         for piece in pieces:
             if len(piece.points_map):
                 records = las_records(piece, placing)
-                writer.write_points(laspy.point.record.PackedPointRecord(records, header.point_format))
+                writer.write_points(PackedPointRecord(records, header.point_format))
         writer.close()
         return writer.header.point_count
 

@@ -29,7 +29,8 @@ class TileFiles:
         """(N,) records go to their cubes, in order."""
         for rows in grouped(cell_keys(records, self.shift)):
             part = records[rows]
-            tile = tuple(int(part[axis][0]) >> self.shift for axis in "XYZ")
+            x, y, z = (int(part[axis][0]) >> self.shift for axis in "XYZ")
+            tile = x, y, z
             self._waiting[tile].append(part)
             self.counts[tile] = self.counts.get(tile, 0) + len(part)
         self._waiting_bytes += records.nbytes

@@ -42,7 +42,7 @@ def grow_ground(lowest, ground, gaps, queue, filled, step_m):
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def layer_of(height, frame, layers):
-    """The layer of a height over ground, m; -1 outside: 0 is what the robot rolls over, from there on they are equal."""
+    """The layer of a height over ground, m, -1 outside; 0 is what the robot rolls over, the others are equal."""
     if height < frame[4]:
         return 0 if height >= frame[3] else -1
     layer = 1 + math.floor((height - frame[4]) / frame[5])
@@ -72,9 +72,9 @@ def trace_rays(sensor, ends, stops, frame, ground, marks, counts, stamp):
     """Counts a miss for each cell that a ray from the sensor passes, in the layer that it passes it in, once a view,
     unless it was hit there.
 
-    ends (N, 3), m; stops (N,): the share of each ray that counts; ground (R, C): its height. frame, marks, counts: as in
-    mark_hits. Cell by cell as Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987,
-    from where a ray enters the grid.
+    ends (N, 3), m; stops (N,): the share of each ray that counts; ground (R, C): its height. frame, marks, counts: as
+    in mark_hits. Cell by cell as Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics
+    1987, from where a ray enters the grid.
     """
     layers, rows, cols = marks.shape[1:]
     x, y = (sensor[0] - frame[0]) / frame[2], (sensor[1] - frame[1]) / frame[2]

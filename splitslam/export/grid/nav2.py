@@ -72,7 +72,7 @@ def write_grid(
             parts = [(r, c) for r in range(0, rows, _PART) for c in range(0, columns, _PART)]
             for done, (r, c) in enumerate(parts, start=1):
                 shape = min(_PART, rows - r), min(_PART, columns - c)
-                corner = (low + [c, r]) * cell_m
+                corner: Array = ((low + [c, r]) * cell_m).astype(np.float64)
                 if near := _near(spool.sensors, corner, shape, settings):
                     evidence = Evidence(corner, shape, ground, settings)
                     for view in spool.views(near):
