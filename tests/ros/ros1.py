@@ -1,0 +1,85 @@
+"""ROS 1 of Debian for a test: installed on the machine, or unpacked into this checkout's cache without root."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.debian import unpacked
+
+PACKAGES = ("python3-roslaunch", "python3-rospy", "python3-rosbag")
+PYTHON = "/usr/bin/python3"  # Debian's packages are for Debian's Python
+_START_S = 60.0
+
+
+@dataclass(frozen=True)
+class Ros1:
+    """A master that runs, alone on loopback. root: where its programs are. environment: of each of them.
+
+    ours: environment of our own programs, which must not see Debian's Python packages before theirs.
+    """
+
+    root: Path
+    uri: str
+    environment: dict[str, str]
+    ours: dict[str, str]
+
+    @property
+    def python_path(self) -> str:
+        return str(self.root / "usr" / "lib" / "python3" / "dist-packages")
+
+    def rosbag_play(self, bag: Path, seconds: float, topics: list[str]) -> list[str]:
+        """At the recording's own pace, from when all topics have a listener; its clock is the machine's."""
+        program = str(self.root / "usr" / "bin" / "rosbag")
+        options = ["--quiet", "--wait-for-subscribers", f"--duration={seconds}", "--queue=1000"]
+        return [PYTHON, program, "play", *options, str(bag), "--topics", *topics]
+
+
+@contextmanager
+def roscore(folder: Path) -> Iterator[Ros1]:
+    """A roscore on a free port. folder: for its logs."""
+    root = Path("/") if shutil.which("roscore") else unpacked(*PACKAGES, with_needs=True)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    uri = f"http://127.0.0.1:{port}"
+    ours = os.environ | {"ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1", "ROS_HOME": str(folder / "ros")}
+    ros = Ros1(root, uri, ours | _programs(root), ours)
+    with (folder / "roscore.log").open("w") as log:
+        command = [PYTHON, str(root / "usr" / "bin" / "roscore"), "-p", str(port)]
+        process = subprocess.Popen(command, env=ros.environment, stdout=log, stderr=log, start_new_session=True)
+        try:
+            deadline_s = time.monotonic() + _START_S
+            while not _answers(port):
+                said = (folder / "roscore.log").read_text()
+                assert process.poll() is None, f"roscore: exit code {process.returncode}: {said}"
+                assert time.monotonic() < deadline_s, f"roscore does not answer: {said}"
+                time.sleep(0.05)
+            yield ros
+        finally:
+            process.terminate()  # it ends rosmaster and rosout itself
+            process.wait(20)
+
+
+def _programs(root: Path) -> dict[str, str]:
+    usr = root / "usr"
+    return {
+        "PATH": f"{usr / 'bin'}:{os.environ['PATH']}",
+        "PYTHONPATH": str(usr / "lib" / "python3" / "dist-packages"),
+        "LD_LIBRARY_PATH": str(usr / "lib" / f"{os.uname().machine}-linux-gnu"),
+        "ROS_PACKAGE_PATH": str(usr / "share"),
+    }
+
+
+def _answers(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), 0.2).close()
+    except OSError:
+        return False
+    return True
