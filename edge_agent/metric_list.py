@@ -19,6 +19,8 @@ _OF_A_STREAM = ("duplicate", "time_backwards", "time_jump")
 DROP_REASONS = (
     # a scan, before it is a frame
     *("decode", "point_time", "empty", "nan", "few_points", "budget", "too_many_features", "queue_full", *_OF_A_STREAM),
+    # a message of any live sensor, from before its clock was locked
+    "clock_changed",
     # messages of the other sensors
     *("imu_nan", *(f"imu_{reason}" for reason in _OF_A_STREAM)),
     *("wheel_nan", "wheel_range", *(f"wheel_{reason}" for reason in _OF_A_STREAM)),
@@ -36,6 +38,15 @@ BREAKS = (
     *("unavailable", "cancelled", "internal", "aborted", "unauthenticated", "permission_denied"),
     *("resource_exhausted", "deadline_exceeded", "unimplemented", "invalid_argument", "unknown"),
 )
+
+SENSORS = ("lidar", "imu", "gnss")
+PACKET_RESULTS = (
+    # what became of a packet, or of a message in a stream of bytes
+    *("used", "unused", "start", "duplicate", "late", "size", "foreign", "model", "sender", "checksum", "garbage"),
+    # and besides
+    *("lost", "reordered", "overflow", "disconnects"),
+)
+CLOCK_CHOICES = ("gps", "ptp", "host")
 
 # --- scans ------------------------------------------------------------------------------------------------------------
 
@@ -269,6 +280,44 @@ SPOOL_ERRORS = counter(
     "the service refused for good",
     "The disk's health and room. refused: frames lie in `refused/`, the log names the folder.",
     Label("kind", ("full", "read_only", "permission", "io", "damaged", "torn", "refused"), open=True),
+)
+
+# --- live sensors -----------------------------------------------------------------------------------------------------
+
+SENSOR_PACKETS = counter(
+    "splitslam_edge_sensor_packets",
+    "Packets of live sensors by what became of them (a serial device's or a receiver's messages). used, unused (other "
+    "data), start (of a turn whose beginning nobody saw), duplicate, late (its turn is gone), size, foreign, model (of "
+    "another lidar), sender (another address), checksum, garbage (bytes between messages). Besides: reordered (used, "
+    "but came late), lost (never came), overflow (lost in our own buffer), disconnects of a device or server",
+    "lost without overflow: the sensor's network. overflow: CPU, `receive_bytes`. model, foreign: the port is another "
+    "sensor's. checksum, garbage: baud rate, cable.",
+    Label("sensor", SENSORS),
+    Label("result", PACKET_RESULTS, open=True),
+)
+SENSOR_LOSSES = counter(
+    "splitslam_edge_sensor_losses",
+    "How often a live sensor has fallen silent; the run goes on without it, and with it when it is back",
+    "Cable, power, network of the sensor; `silent_seconds` says for how long.",
+    Label("sensor", SENSORS),
+)
+CLOCK_CHOSEN = gauge(
+    "splitslam_edge_sensor_clock",
+    "1 where a live sensor's stamps are taken from: its own time, locked to GPS or PTP, or when its messages come",
+    "host where gps or ptp is wired: PPS and $GPRMC, PTP's grandmaster; the log says why.",
+    Label("sensor", SENSORS),
+    Label("taken_from", CLOCK_CHOICES),
+)
+CLOCK_BEHIND = gauge(
+    "splitslam_edge_sensor_clock_behind_seconds",
+    "By how much a live sensor's clock is behind ours, its messages' way included; NaN: not known yet",
+    "Of sensors that are locked to the same time they differ by little more than the way.",
+    Label("sensor", SENSORS),
+)
+CLOCK_PROBLEMS = gauge(
+    "splitslam_edge_sensor_clock_problems",
+    "Live sensors whose clocks are not as the configuration says, or not as each other's",
+    "The log and the status line name each.",
 )
 
 # --- on the robot -----------------------------------------------------------------------------------------------------

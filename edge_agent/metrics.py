@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from edge_agent.odometry.outage import OutageReport
+    from edge_agent.sources.live.clock import RunClock
 
 NAN = float("nan")
 _BYTES_PER_KBIT = 125.0
@@ -192,6 +193,19 @@ class EdgeMetrics:
         self._collect(m.OUTAGES, lambda: report().count)
         self._collect(m.OUTAGE_SECONDS, lambda: report().seconds)
         self._collect(m.ALONE, lambda: float(report().alone))
+
+    def live_from(
+        self,
+        packets: Callable[[], Mapping[tuple[str, str], float]],
+        losses: Callable[[], Mapping[str, int]],
+        clocks: RunClock,
+    ) -> None:
+        """Shows what came of live sensors, and whose time they are in."""
+        self._collect(m.SENSOR_PACKETS, packets)
+        self._collect(m.SENSOR_LOSSES, losses)
+        self._collect(m.CLOCK_CHOSEN, lambda: {(c.name, c.chosen): 1.0 for c in clocks.all() if c.chosen})
+        self._collect(m.CLOCK_BEHIND, lambda: dict.fromkeys(m.SENSORS, NAN) | clocks.behind_s())
+        self._collect(m.CLOCK_PROBLEMS, lambda: float(len(clocks.problems)))
 
     def certificate_from(self, expires_s: Callable[[], float]) -> None:
         """Shows when the agent's certificate or its authority's expires; Unix time."""

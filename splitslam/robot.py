@@ -208,9 +208,10 @@ def load_robot(path: Path, placed_elsewhere: bool = False) -> Robot:
     data = config.parse_yaml(config.read_text(path), str(path))
     lidar = data.get("lidar")
     if isinstance(lidar, dict) and isinstance(lidar.get("metadata"), str):
-        data["lidar"] = {**_from_metadata(path.parent / lidar["metadata"]), **lidar}
+        metadata = path.parent / lidar["metadata"]
+        data["lidar"] = {**_from_metadata(metadata), **lidar, "metadata": str(metadata)}
     imu = data.get("imu")
-    if placed_elsewhere and isinstance(imu, dict) and "topic" in imu and data.get("T_lidar_imu") is None:
+    if placed_elsewhere and isinstance(imu, dict) and imu.get("topic") is not None and not data.get("T_lidar_imu"):
         topic = config.validate(Imu, imu, str(path)).topic
         robot = config.validate(Robot, data | {"imu": {k: v for k, v in imu.items() if k != "topic"}}, str(path))
         return robot.model_copy(update={"imu": robot.imu and robot.imu.model_copy(update={"topic": topic})})

@@ -96,9 +96,11 @@ def open_source(config: AgentConfig, robot: Robot, metrics: EdgeMetrics, stop: t
     """
     source = config.source
     if source.live is not None:
-        from edge_agent.sources.live import open_live
+        from edge_agent.sources.live.opening import open_live
 
-        return open_live(source.live, robot, metrics)
+        live = open_live(source.live, robot)
+        metrics.live_from(live.packets, lambda: live.presence.losses, live.clocks)
+        return live
     if source.ros is not None:
         from edge_agent.ros.source import open_ros
 

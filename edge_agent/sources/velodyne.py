@@ -60,6 +60,10 @@ class VelodyneDecoder:
         host_ns = np.array([p.stamp.sec * 1_000_000_000 + p.stamp.nanosec for p in packets], dtype=np.int64)
         if host_ns[0] == 0:
             host_ns = host_ns + message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        return self.decode(data, host_ns)
+
+    def decode(self, data: list[bytes], host_ns: NDArray[np.int64]) -> RawScan:
+        """Packets of 1206 bytes, and the stamp of each, (M,) int64 -> all their returns. DataError `decode`."""
         packet_ns = _packet_offsets_ns(data, host_ns)
         dual = data[0][-2] == _DUAL
         if self._model in _PER_FIRING:

@@ -10,13 +10,23 @@ import typer
 from splitslam.cli.bench import bench
 from splitslam.cli.operation import diagnose, top
 from splitslam.cli.recordings import check, demo, evaluate, run, sim
+from splitslam.cli.sensors import replay
 from splitslam.errors import InputError
 from splitslam.run.processes import RunFailedError
 from splitslam.security.command import certs
 
 _UsageError: Any = typer.BadParameter.__base__  # of the click that typer brings along or, in older ones, depends on
 _INTERRUPTED = 130
-_COMMANDS = {"eval": evaluate, "run": run, "check": check, "diagnose": diagnose, "demo": demo, "top": top, "sim": sim}
+_COMMANDS = {
+    "eval": evaluate,
+    "run": run,
+    "check": check,
+    "diagnose": diagnose,
+    "demo": demo,
+    "top": top,
+    "sim": sim,
+    "replay": replay,
+}
 
 app = typer.Typer(
     name="splitslam",

@@ -10,10 +10,13 @@ from tests import tolerances as bars
 from tests.systemd.unit import UNITS, analyze, exposure, placed, read_unit
 
 AGENT, SERVICE = "edge-agent.service", "map-service.service"
-FPGA, REALTIME = "fpga.conf", "realtime.conf"
+FPGA, REALTIME, SERIAL = "fpga.conf", "realtime.conf", "serial.conf"
 EACH = pytest.mark.parametrize(
     ("name", "drop_ins"),
-    [(AGENT, ()), (AGENT, (FPGA,)), (AGENT, (REALTIME,)), (AGENT, (FPGA, REALTIME)), (SERVICE, ())],
+    [
+        *((AGENT, drop_ins) for drop_ins in ((), (FPGA,), (REALTIME,), (SERIAL,), (FPGA, REALTIME, SERIAL))),
+        (SERVICE, ()),
+    ],
 )
 
 
@@ -46,6 +49,7 @@ def test_an_unknown_key_would_be_seen(executables: Path, tmp_path: Path):
     [
         (AGENT, (), bars.UNIT_EXPOSURE),
         (AGENT, (REALTIME,), bars.UNIT_EXPOSURE),
+        (AGENT, (SERIAL,), bars.UNIT_EXPOSURE),
         (AGENT, (FPGA,), bars.UNIT_EXPOSURE_FPGA),
         (SERVICE, (), bars.UNIT_EXPOSURE),
     ],
@@ -58,12 +62,13 @@ def test_a_unit_is_exposed_no_more_than_it_may_be(
     assert found <= bar
 
 
-def test_the_drop_in_for_the_logic_opens_more_and_says_for_each_key_why(executables: Path, tmp_path: Path):
+@pytest.mark.parametrize("drop_in", [FPGA, SERIAL])
+def test_a_drop_in_for_devices_opens_more_and_says_for_each_key_why(drop_in: str, executables: Path, tmp_path: Path):
     closed = exposure(placed(AGENT, tmp_path, executables))
-    assert exposure(placed(AGENT, tmp_path, executables, (FPGA,))) > closed
+    assert exposure(placed(AGENT, tmp_path, executables, (drop_in,))) > closed
     reason = False
     unexplained = []
-    for line in (UNITS / f"{AGENT}.d" / FPGA).read_text().partition("[Service]")[2].splitlines():
+    for line in (UNITS / f"{AGENT}.d" / drop_in).read_text().partition("[Service]")[2].splitlines():
         if line.startswith("#"):
             reason = True
         elif not line:

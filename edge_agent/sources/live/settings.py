@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from splitslam.config import Model
 
+
+
+def _address(text: str) -> str:
+    try:
+        return str(ipaddress.ip_address(text))
+    except ValueError:
+        raise ValueError("expected an IP address, such as 192.168.1.201") from None
+
+
+Address = Annotated[str, AfterValidator(_address)]  # no name: while the robot drives nobody waits for a name server
 Port = Annotated[int, Field(ge=0, le=65535)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ClockChoice = Literal["auto", "gps", "ptp", "host"]
@@ -22,11 +33,11 @@ class Udp(Model):
     sender: packets from another address are counted and left out, null: from anywhere.
     """
 
-    host: str = "0.0.0.0"
+    host: Address = "0.0.0.0"
     port: Port | None = None
     position_port: Port | None = 8308
     imu_port: Port = 7503
-    sender: str | None = None
+    sender: Address | None = None
 
 
 class LidarInput(Model):
@@ -45,7 +56,7 @@ class Serial(Model):
 class Tcp(Model):
     """A server that sends us its bytes, such as a receiver in the robot's network."""
 
-    host: str
+    host: Address
     port: Annotated[int, Field(ge=1, le=65535)]
 
 
