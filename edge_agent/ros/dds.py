@@ -23,6 +23,7 @@ from cyclonedds.core import (
     WaitSet,
 )
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -30,7 +31,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from edge_agent.ros.codec import Codec
-from edge_agent.ros.dds_types import RawSample, raw_type, ros_type_name
+from edge_agent.ros.dds_types import raw_type, ros_type_name
 from edge_agent.ros.graph import Delivery, Receive, Send
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
@@ -67,6 +68,7 @@ class DdsGraph:
         self._writers: dict[Any, Any] = {}  # of others, by key
         self._topics: dict[str, Topic] = {}
         self._readers: list[tuple[ReadCondition, DataReader, Receive]] = []
+        self._own: list[DataWriter] = []  # CycloneDDS takes back what nobody holds
         self._lock = threading.Lock()
         self._waitset = WaitSet(self._participant)
         self._closing = GuardCondition(self._participant)
@@ -116,6 +118,7 @@ class DdsGraph:
     def advertise(self, topic: str, msgtype: str, delivery: Delivery) -> Send:
         dds = self._topic(topic, msgtype)
         writer = DataWriter(self._participant, dds, _qos(delivery, reliable=True))
+        self._own.append(writer)
         return lambda raw: writer.write(dds.data_type(raw))
 
     def _topic(self, topic: str, msgtype: str) -> Topic:
@@ -134,7 +137,7 @@ class DdsGraph:
             for condition, reader, receive in self._readers:
                 while not self._closed and condition.triggered:
                     for sample in reader.take(_TAKE):
-                        if isinstance(sample, RawSample):  # not: a writer has gone
+                        if not isinstance(sample, InvalidSample):  # a writer has gone
                             receive(sample.raw)
 
     def close(self) -> None:

@@ -23,7 +23,7 @@ _BASE: dict[str, Any] = {
 
 
 class RawSample:
-    """A message as its CDR bytes, encapsulation header included: what CycloneDDS would make an object of."""
+    """What stands in for a message's object: its CDR bytes, encapsulation header included."""
 
     def __init__(self, raw: bytes) -> None:
         self.raw = raw
@@ -38,12 +38,14 @@ class RawSample:
         """What a reader hands on."""
         return cls(data)
 
-    deserialize_key = deserialize  # of a sample without data, as when a writer goes
-
 
 def raw_type(name: str, store: Typestore) -> Any:
-    """The DDS type of `sensor_msgs/msg/Imu`, whose samples are RawSample."""
-    return _struct(name, store, {}, (RawSample,))
+    """The DDS type of `sensor_msgs/msg/Imu`; its samples are RawSamples by another name."""
+    kind = _struct(name, store, {})
+    for method in ("__init__", "serialize", "deserialize"):  # not inherited: to DDS a base is a part of the type
+        setattr(kind, method, vars(RawSample)[method])
+    kind.deserialize_key = kind.deserialize
+    return kind
 
 
 def dds_type_name(name: str) -> str:
@@ -60,11 +62,11 @@ def ros_type_name(name: str) -> str | None:
     return f"{parts[0]}/msg/{parts[3][:-1]}"
 
 
-def _struct(name: str, store: Typestore, made: dict[str, Any], bases: tuple[type, ...] = ()) -> Any:
+def _struct(name: str, store: Typestore, made: dict[str, Any]) -> Any:
     """made: the types inside, each once."""
     fields = {field: _field(kind, store, made) for field, kind in store.fielddefs[name][1]}
     dotted = dds_type_name(name).replace("::", ".")
-    return make_idl_struct(f"{name.rsplit('/', 1)[-1]}_", dotted, fields, dataclassify=False, bases=bases)  # pyright: ignore[reportArgumentType]
+    return make_idl_struct(f"{name.rsplit('/', 1)[-1]}_", dotted, fields, dataclassify=False)
 
 
 def _field(kind: Any, store: Typestore, made: dict[str, Any]) -> Any:

@@ -68,12 +68,26 @@ def roscore(folder: Path) -> Iterator[Ros1]:
 
 
 def _programs(root: Path) -> dict[str, str]:
+    """What its programs need to find each other when they are not where Debian puts them."""
     usr = root / "usr"
+    libraries = usr / "lib" / f"{os.uname().machine}-linux-gnu"
+    if root != Path("/"):
+        (usr / ".catkin").touch()
+        index = usr / "share" / "ament_index" / "resource_index" / "packages" / "rosbag_storage"
+        plugins = usr / "lib" / "rosbag_storage"
+        for made in (index.parent, plugins):
+            made.mkdir(parents=True, exist_ok=True)
+        index.touch()
+        for plugin in (libraries / "ros").glob("librosbag*"):
+            (plugins / plugin.name).unlink(missing_ok=True)
+            (plugins / plugin.name).symlink_to(plugin)
     return {
         "PATH": f"{usr / 'bin'}:{os.environ['PATH']}",
         "PYTHONPATH": str(usr / "lib" / "python3" / "dist-packages"),
-        "LD_LIBRARY_PATH": str(usr / "lib" / f"{os.uname().machine}-linux-gnu"),
+        "LD_LIBRARY_PATH": str(libraries),
         "ROS_PACKAGE_PATH": str(usr / "share"),
+        "CMAKE_PREFIX_PATH": str(usr),
+        "AMENT_PREFIX_PATH": str(usr),
     }
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import importlib.util
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct, types
+from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -25,71 +25,10 @@ from edge_agent.ros.graph import RELIABLE, SAMPLES, STATIC, Delivery
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
 from tests.ros.dds import DOMAIN, cyclonedds_uri
+from tests.ros.idl_by_hand import Header_, Imu_, PointCloud2_, Quaternion_, Time_, Vector3_
 from tests.sources import made_bags as made
 
 CODEC = Codec("cdr")
-
-# As ROS 2's own interface files have them, written by hand.
-
-
-@dataclass
-class Time_(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    sec: types.int32
-    nanosec: types.uint32
-
-
-@dataclass
-class Header_(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    stamp: Time_
-    frame_id: str
-
-
-@dataclass
-class Vector3_(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    x: types.float64
-    y: types.float64
-    z: types.float64
-
-
-@dataclass
-class Quaternion_(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    x: types.float64
-    y: types.float64
-    z: types.float64
-    w: types.float64
-
-
-@dataclass
-class Imu_(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
-    header: Header_
-    orientation: Quaternion_
-    orientation_covariance: types.array[types.float64, 9]
-    angular_velocity: Vector3_
-    angular_velocity_covariance: types.array[types.float64, 9]
-    linear_acceleration: Vector3_
-    linear_acceleration_covariance: types.array[types.float64, 9]
-
-
-@dataclass
-class PointField_(IdlStruct, typename="sensor_msgs.msg.dds_.PointField_"):
-    name: str
-    offset: types.uint32
-    datatype: types.uint8
-    count: types.uint32
-
-
-@dataclass
-class PointCloud2_(IdlStruct, typename="sensor_msgs.msg.dds_.PointCloud2_"):
-    header: Header_
-    height: types.uint32
-    width: types.uint32
-    fields: types.sequence[PointField_]
-    is_bigendian: bool
-    point_step: types.uint32
-    row_step: types.uint32
-    data: types.sequence[types.uint8]
-    is_dense: bool
-
 
 @pytest.fixture
 def join(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], DdsGraph]]:
@@ -228,4 +167,4 @@ def test_a_domain_that_is_none_is_refused(text: str, monkeypatch: pytest.MonkeyP
 def test_without_any_way_into_a_graph_the_error_names_both(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"neither rclpy nor cyclonedds is installed: expected .* splitslam\[ros2\]$"):
-        connect.join(Ros2Settings())
+        connect.join(Ros2Settings(), threading.Event())

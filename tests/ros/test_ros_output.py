@@ -232,7 +232,7 @@ def test_a_graph_that_blocks_costs_samples_which_are_counted_and_the_pipeline_ne
         began_s = time.thread_time()
         output.publish(poses(0, 1000))
         assert time.thread_time() - began_s < 5.0
-        eventually(lambda: output.dropped["ros_queue_full"] >= 900)
+        eventually(lambda: output.dropped["ros_queue_full"] >= 800)
         blocked.set()
         output.close()
         assert output.dropped["ros_queue_full"] + len(graph.sent["/tf"]) == 999
@@ -258,6 +258,5 @@ def test_names_and_namespace_are_the_configurations():
         output = RosOutput(settings, graph, Ros2Settings(namespace="/r1/"), ROBOT, belief, dict)
         stack.callback(output.close)
         output.publish(poses(0, 3))
-        eventually(lambda: bool(graph.sent["/r1/tf"]))
+        eventually(lambda: bool(graph.sent["/r1/odom"]))
         assert list(placed(graph.sent["/r1/tf"][0])) == [("world", "r1/odom"), ("r1/odom", "r1/base")]
-        assert "/r1/odom" in graph.sent
