@@ -8,6 +8,8 @@ import time
 from collections import Counter, deque
 from dataclasses import dataclass
 
+_TICK_S = 0.005  # one call of the loop costs far more than one sample
+
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
@@ -40,9 +42,11 @@ class Inbox:
             self._changed.notify_all()
 
     def take(self, timeout_s: float) -> list[RawMessage]:
-        """Everything that has come; empty after the timeout or when closed."""
+        """Everything that has come; empty after the timeout or when closed. What comes within a tick travels together."""
         with self._changed:
             self._changed.wait_for(lambda: self._messages or self._closed, timeout_s)
+        time.sleep(_TICK_S)
+        with self._changed:
             messages = list(self._messages)
             self._messages.clear()
             self._bytes = 0

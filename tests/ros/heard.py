@@ -77,4 +77,5 @@ class Heard:
             first = true @ se3.inv(T) if first is None else first
             errors_m.append(float(np.linalg.norm((first @ T)[:3, 3] - true[:3, 3])))
         assert len(errors_m) > 50
+        print(" ".join(f"{error_m:.3f}" for error_m in errors_m))
         return max(errors_m)

@@ -25,7 +25,7 @@ def main(kind: str, settings: str) -> None:
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     values = json.loads(settings)
-    graph = join(Ros1Settings(**values) if kind == "ros1" else Ros2Settings(**values))
+    graph = join(Ros1Settings(**values) if kind == "ros1" else Ros2Settings(**values), stop)
     lock = threading.Lock()
 
     def heard(topic: str, msgtype: str, raw: bytes) -> None:

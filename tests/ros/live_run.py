@@ -63,7 +63,7 @@ def live_run(
         hearing = stack.enter_context(_Program(folder / "listener", listener, environment))
         playing = stack.enter_context(_Program(folder / "player", player, of_player or environment))
         running = stack.enter_context(_Program(folder / "agent", command, environment))
-        running.wait(timeout_s)
+        running.wait(timeout_s, (playing, hearing))
         playing.wait(30.0)
         time.sleep(0.5)
         hearing.process.terminate()
@@ -98,7 +98,17 @@ class _Program:
     def complained(self) -> str:
         return self._file("err").read_text()
 
-    def wait(self, timeout_s: float) -> None:
-        """For its end, which must be a good one."""
-        exit_code = self.process.wait(timeout_s)
-        assert exit_code == 0, f"{self._path.name}: exit code {exit_code}: {self.complained[-2000:]}"
+    def check(self) -> bool:
+        """True when it has ended, which must be a good end."""
+        exit_code = self.process.poll()
+        assert not exit_code, f"{self._path.name}: exit code {exit_code}: {self.complained[-2000:]}"
+        return exit_code is not None
+
+    def wait(self, timeout_s: float, others: Sequence[_Program] = ()) -> None:
+        """For its end; others: that must not fail meanwhile."""
+        deadline_s = time.monotonic() + timeout_s
+        while not self.check():
+            assert time.monotonic() < deadline_s, f"{self._path.name} does not end: {self.complained[-2000:]}"
+            for other in others:
+                other.check()
+            time.sleep(0.02)

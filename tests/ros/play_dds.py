@@ -30,11 +30,11 @@ _KEEP = 1000
 
 def main(bag: Path, seconds: float, domain: int, rate: float = 1.0, reliable: bool = True) -> None:
     participant = DomainParticipant(domain)
-    store, types = typestore(Stores.ROS1_NOETIC), typestore()
+    types = typestore()
     offer = Policy.Reliability.Reliable(duration(seconds=1)) if reliable else Policy.Reliability.BestEffort
     qos = Qos(offer, Policy.History.KeepLast(_KEEP), Policy.DataRepresentation(use_cdrv0_representation=True))
     sent: Counter[str] = Counter()
-    with AnyReader([bag], default_typestore=store) as reader:
+    with AnyReader([bag], default_typestore=typestore(Stores.ROS1_NOETIC)) as reader:
         writers = {}
         for connection in reader.connections:
             topic = Topic(participant, f"rt{connection.topic}", raw_type(connection.msgtype, types))
@@ -44,7 +44,7 @@ def main(bag: Path, seconds: float, domain: int, rate: float = 1.0, reliable: bo
         for topic, after_s, msgtype, raw in _messages(reader, seconds):
             time.sleep(max(began_s + after_s / rate - time.monotonic(), 0.0))
             writer = writers[topic]
-            writer.write(writer.data_type(bytes(store.ros1_to_cdr(raw, msgtype))))
+            writer.write(writer.data_type(bytes(types.ros1_to_cdr(raw, msgtype))))
             sent[topic] += 1
         for writer in writers.values():
             writer.wait_for_acks(duration(seconds=5))
