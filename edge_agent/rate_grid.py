@@ -12,7 +12,7 @@ class RateGrid:
         self._next_ns = -(2**62)
 
     def due(self, stamp_ns: int) -> bool:
-        """Whether the sample is to be taken; called once a sample, in order of time. A step back in time starts anew."""
+        """Whether the sample is to be taken; called once for each, in order of time. A step back starts anew."""
         if self._next_ns - self._interval_ns <= stamp_ns < self._next_ns:
             return False
         self._next_ns += self._interval_ns

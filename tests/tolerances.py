@@ -155,8 +155,9 @@ STEADY_SCAN_STAYS_BYTES = 4_096
 STEADY_SCAN_BYTES = 400_000
 WARM_START_IMPORTS = 8.0
 
-# Twelve seconds of yard1 at its own pace through ROS: answers against the truth (from the file: 2 mm, the bar of the whole
-# drive), and any transform on /tf, laid on the truth at the first (a start that is not level by a milliradian, 10 m away).
+# Twelve seconds of yard1 at its own pace through ROS: answers against the truth (from the file: 2 mm; the bar of the
+# whole drive), and transforms on /tf once it runs, laid on the truth by one of them (its own error, and the truth
+# interpolated over 0.1 s of a walk: 5 mm each).
 LIVE_ROS_ATE_M = 0.0025
 LIVE_ROS_TF_M = 0.03
 

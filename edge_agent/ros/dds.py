@@ -1,7 +1,7 @@
 """A ROS 2 graph through CycloneDDS alone: ROS 2's topics as they are on the wire, without a ROS installation.
 
-There the topic `/imu/data` is `rt/imu/data`, its type `sensor_msgs/msg/Imu` is `sensor_msgs::msg::dds_::Imu_`, and the graph
-is the DDS domain $ROS_DOMAIN_ID (design.ros2.org, "Topic and Service name mapping to DDS").
+There the topic `/imu/data` is `rt/imu/data`, its type `sensor_msgs/msg/Imu` is `sensor_msgs::msg::dds_::Imu_`, and the
+graph is the DDS domain $ROS_DOMAIN_ID (design.ros2.org, "Topic and Service name mapping to DDS").
 """
 
 from __future__ import annotations

@@ -52,8 +52,8 @@ class Extrinsics:
         if T is None:
             between = f"{self.frames['lidar']} and {self.frames.get('imu', 'that of the IMU, which is silent')}"
             raise InputError(
-                f"{self.name}: T_lidar_imu: must be given: it is not in the robot file, and /tf_static does not connect the"
-                f" frames {between} (or set imu: null)"
+                f"{self.name}: T_lidar_imu: must be given: it is not in the robot file, and /tf_static does not connect"
+                f" the frames {between} (or set imu: null)"
             )
         return T
 

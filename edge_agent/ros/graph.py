@@ -1,4 +1,4 @@
-"""What the agent needs of a ROS graph, whichever way it is reached. Messages are bytes; `Codec` knows what is in them."""
+"""What the agent needs of a ROS graph, whichever way it is reached. Messages are bytes; `Codec` reads them."""
 
 from __future__ import annotations
 

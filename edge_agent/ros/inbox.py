@@ -42,7 +42,7 @@ class Inbox:
             self._changed.notify_all()
 
     def take(self, timeout_s: float) -> list[RawMessage]:
-        """Everything that has come; empty after the timeout or when closed. What comes within a tick travels together."""
+        """Everything that has come, what comes within a tick together; empty after the timeout or when closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._messages or self._closed, timeout_s)
         time.sleep(_TICK_S)

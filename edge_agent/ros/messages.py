@@ -34,7 +34,7 @@ def odometry(
     """nav_msgs/Odometry. frames: parent and child; T: (4, 4), T_parent_child.
 
     pose_covariance: (6, 6), right tangent, rotation first; it goes out about the parent's axes, translation first.
-    twist: (6,), rotation first, rad/s and m/s, of the child's origin in the child's frame; doubt: its covariance (6, 6).
+    twist: (6,), rotation first, rad/s and m/s, of the child in its own frame; doubt: its (6, 6) covariance.
     """
     R = T[:3, :3]
     turn = np.zeros((6, 6))

@@ -24,7 +24,9 @@ class RclpyGraph:
         try:
             self._rclpy: Any = importlib.import_module("rclpy")
         except ModuleNotFoundError as error:
-            raise InputError("ros2.via: rclpy is not there: expected a sourced ROS 2 of this Python's version") from error
+            raise InputError(
+                "ros2.via: rclpy is not there: expected a sourced ROS 2 of this Python's version"
+            ) from error
         rclpy = self._rclpy
         self._qos: Any = importlib.import_module("rclpy.qos")
         self._events: Any = importlib.import_module("rclpy.event_handler")

@@ -1,15 +1,13 @@
-"""A ROS 1 graph through `rospy`. Only bytes pass through it: no message package of ROS is needed besides rospy's own."""
+"""A ROS 1 graph through `rospy`. Only bytes pass through it: no message package is needed besides rospy's own."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-import logging
 import os
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +38,12 @@ class RospyGraph:
         self._lock = threading.Lock()
         rosgraph: Any = importlib.import_module("rosgraph")
         patience = Patience(settings.wait_s, stop)
-        while not rosgraph.is_master_online() and not patience.over:
+        while not rosgraph.is_master_online():
+            if patience.over:
+                raise InputError(f"{self.name}: no master answers; expected a running roscore there (ROS_MASTER_URI)")
             patience.pause(self.name)
-        if patience.over:
-            raise InputError(f"{self.name}: no master answers; expected a running roscore there (ROS_MASTER_URI)")
-        with _own_logs():
-            self._rospy.init_node(settings.node, disable_signals=True, disable_rosout=True)
+        self._rospy.core.configure_logging = lambda *_: None  # it would set up the logs of the whole process
+        self._rospy.init_node(settings.node, disable_signals=True, disable_rosout=True)
 
     def topics(self) -> dict[str, str]:
         own = {end.resolved_name for end in self._ends if hasattr(end, "publish")}
@@ -78,7 +76,8 @@ class RospyGraph:
         self._closed = True
         for end in self._ends:
             end.unregister()
-        self._rospy.signal_shutdown("the agent ends")
+        # No signal_shutdown: it closes the socket that another thread accepts on, and its number may be given out again
+        # before that thread looks. The process ends anyway.
 
 
 def _message_class(msgtype: str, codec: Codec) -> Any:
@@ -115,21 +114,8 @@ def _rospy(settings: Ros1Settings) -> Any:
                 break
             sys.path.append(str(folder))  # last: our own versions of everything else stay
         with contextlib.suppress(ModuleNotFoundError):
-            with _own_logs():
-                return importlib.import_module("rospy")
+            return importlib.import_module("rospy")
     raise InputError(
         f"ros1: rospy is not there: expected it in the agent's environment or in {settings.python_path or _DEBIAN}"
         " (Debian: apt-get install python3-rospy; see docs/ros.md)"
     )
-
-
-@contextlib.contextmanager
-def _own_logs() -> Iterator[None]:
-    """rospy sets up logging for the whole process as if it were its own: put back what was there."""
-    root = logging.getLogger()
-    handlers, level = list(root.handlers), root.level
-    try:
-        yield
-    finally:
-        root.handlers[:], root.level = handlers, level
-        root.setLevel(level)

@@ -30,7 +30,7 @@ _SILENT_S = 3.0
 
 
 def open_ros(settings: GraphSettings, ros: RosSettings, robot: Robot, stop: threading.Event) -> RosSource:
-    """Joins the graph and waits for the sensors. Raises InputError (one line) when they do not come, StoppedError on `stop`."""
+    """Joins the graph and waits for the sensors. InputError (a line) when they do not come, StoppedError on `stop`."""
     graph = join(settings, stop)
     try:
         return RosSource(graph, settings, ros, robot, stop)

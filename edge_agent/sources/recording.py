@@ -96,6 +96,6 @@ class Recording:
             )
         if "imu" in self.topics and not robot.imu_placed:
             raise InputError(
-                f"{self._name}: robot file: T_lidar_imu: must be given: the recording has an IMU on {self.topics['imu']}"
-                " (or set imu: null)"
+                f"{self._name}: robot file: T_lidar_imu: must be given: the recording has an IMU on"
+                f" {self.topics['imu']} (or set imu: null)"
             )

@@ -96,7 +96,9 @@ def choose(
                 f" there are: {listing(topics)}"
             )
         return found, None
-    fitting = [topic for topic, kind in topics.items() if kind in sensor.types and (inside == "/" or topic.startswith(inside))]
+    fitting = [
+        topic for topic, kind in topics.items() if kind in sensor.types and (inside == "/" or topic.startswith(inside))
+    ]
     inner = {topic.removeprefix(inside).lstrip("/"): topic for topic in fitting}
     for usual in sensor.usual:
         if usual in inner:

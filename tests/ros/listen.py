@@ -1,4 +1,4 @@
-"""`python -m tests.ros.listen ros2|ros1 SETTINGS`: writes what is said on /tf, odometry and diagnostics, a JSON line a message.
+"""`python -m tests.ros.listen ros2|ros1 SETTINGS`: what is said on /tf, odometry and diagnostics, JSON lines.
 
 SETTINGS: JSON of the graph's settings. Runs until it is ended.
 """
@@ -13,7 +13,7 @@ from typing import Any
 
 from edge_agent.ros.codec import DIAGNOSTICS, TF
 from edge_agent.ros.connect import join
-from edge_agent.ros.graph import RELIABLE, STATIC, TRANSFORMS
+from edge_agent.ros.graph import RELIABLE, TRANSFORMS
 from edge_agent.ros.messages import ODOMETRY
 from edge_agent.ros.settings import Ros1Settings, Ros2Settings
 from edge_agent.sources.messages import stamp_ns

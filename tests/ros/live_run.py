@@ -1,4 +1,4 @@
-"""A robot in a ROS graph: map service, agent, whoever plays the sensors and whoever listens, each a program of its own."""
+"""A robot in a ROS graph: map service, agent, who plays the sensors and who listens, each a program of its own."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def live_run(
     listener: Sequence[str],
     environment: Mapping[str, str],
     of_player: Mapping[str, str] | None = None,
-    timeout_s: float = 120.0,
+    timeout_s: float = 40.0,
 ) -> LiveRun:
     """The agent runs to its end (its source must have one); then the others are ended.
 

@@ -1,7 +1,7 @@
-"""`python -m tests.ros.play_dds BAG SECONDS DOMAIN [RATE]`: a ROS 1 bag's sensor topics as ROS 2 topics, over CycloneDDS.
+"""`python -m tests.ros.play_dds BAG SECONDS DOMAIN [OFFER]`: a ROS 1 bag's topics as ROS 2 topics, over CycloneDDS.
 
-Waits until somebody listens to the LiDAR and the IMU, plays at the bag's own pace, and prints how many messages of each topic
-it has sent, as JSON.
+OFFER: reliable (default) or best-effort. Waits until somebody listens to each topic, plays at the bag's own pace, and
+prints how many messages of each it has sent, as JSON.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ _LISTENERS_S = 60.0
 _KEEP = 1000
 
 
-def main(bag: Path, seconds: float, domain: int, rate: float = 1.0, reliable: bool = True) -> None:
+def main(bag: Path, seconds: float, domain: int, offered: str = "reliable") -> None:
     participant = DomainParticipant(domain)
     types = typestore()
-    offer = Policy.Reliability.Reliable(duration(seconds=1)) if reliable else Policy.Reliability.BestEffort
+    reliable = Policy.Reliability.Reliable(duration(seconds=1))
+    offer = reliable if offered == "reliable" else Policy.Reliability.BestEffort
     qos = Qos(offer, Policy.History.KeepLast(_KEEP), Policy.DataRepresentation(use_cdrv0_representation=True))
     sent: Counter[str] = Counter()
     with AnyReader([bag], default_typestore=typestore(Stores.ROS1_NOETIC)) as reader:
@@ -42,7 +43,7 @@ def main(bag: Path, seconds: float, domain: int, rate: float = 1.0, reliable: bo
         _wait_for(writers.values())
         began_s = time.monotonic()
         for topic, after_s, msgtype, raw in _messages(reader, seconds):
-            time.sleep(max(began_s + after_s / rate - time.monotonic(), 0.0))
+            time.sleep(max(began_s + after_s - time.monotonic(), 0.0))
             writer = writers[topic]
             writer.write(writer.data_type(bytes(types.ros1_to_cdr(raw, msgtype))))
             sent[topic] += 1
@@ -70,4 +71,4 @@ def _wait_for(writers) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]), *(float(a) for a in sys.argv[4:5]))
+    main(Path(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]), *sys.argv[4:])

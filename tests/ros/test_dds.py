@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from tests.ros.idl_by_hand import Header_, Imu_, PointCloud2_, Quaternion_, Time
 from tests.sources import made_bags as made
 
 CODEC = Codec("cdr")
+
 
 @pytest.fixture
 def join(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], DdsGraph]]:
@@ -93,8 +95,9 @@ def test_a_writer_that_knows_nothing_of_us_is_heard_best_effort_or_reliable(join
         heard: list[bytes] = []
         agent.subscribe(f"/{name}", made.IMU, SAMPLES, heard.append)
         eventually(lambda of=writer: of.get_matched_subscriptions())
-        zero, one = Vector3_(0.0, 0.0, 0.0), Vector3_(0.0, 0.0, 9.8)
-        by_hand = Imu_(Header_(Time_(7, 8), "imu"), Quaternion_(0.0, 0.0, 0.0, 1.0), [0.0] * 9, zero, [0.0] * 9, one, [0.0] * 9)
+        zero, up, nine = Vector3_(0.0, 0.0, 0.0), Vector3_(0.0, 0.0, 9.8), cast(Any, [0.0] * 9)
+        header = Header_(Time_(7, 8), "imu")
+        by_hand = Imu_(header, Quaternion_(0.0, 0.0, 0.0, 1.0), nine, zero, nine, up, nine)
         eventually(lambda of=writer, sample=by_hand, got=heard: of.write(sample) or got)
         record = CODEC.decode(heard[0], made.IMU)
         assert (record.header.stamp.sec, record.header.frame_id, record.linear_acceleration.z) == (7, "imu", 9.8)
@@ -166,5 +169,5 @@ def test_a_domain_that_is_none_is_refused(text: str, monkeypatch: pytest.MonkeyP
 
 def test_without_any_way_into_a_graph_the_error_names_both(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"neither rclpy nor cyclonedds is installed: expected .* splitslam\[ros2\]$"):
+    with pytest.raises(InputError, match=r"neither rclpy nor cyclonedds is there: expected .* splitslam\[ros2\]$"):
         connect.join(Ros2Settings(), threading.Event())

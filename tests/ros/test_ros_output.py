@@ -1,4 +1,4 @@
-"""What the agent says to a graph: frames as REP-105, one owner of the base, and nothing that could hold up the pipeline."""
+"""What the agent says to a graph: frames as REP-105, one owner of the base, nothing that could hold up the pipeline."""
 
 from __future__ import annotations
 
@@ -52,7 +52,9 @@ class Stage:
     def output(self, **settings: Any) -> RosOutput:
         belief = Belief(self.imu, lambda: self.state, lambda: self.offset_ns)
         values = {"diagnostics_hz": 1000.0, **settings}
-        output = RosOutput(RosSettings(**values), self.graph, Ros2Settings(), ROBOT, belief, lambda: {"connected": True})
+        output = RosOutput(
+            RosSettings(**values), self.graph, Ros2Settings(), ROBOT, belief, lambda: {"connected": True}
+        )
         self.stack.callback(output.close)
         return output
 
@@ -226,7 +228,7 @@ def test_a_stop_is_said_in_the_diagnostics(stage: Stage):
 def test_a_graph_that_blocks_costs_samples_which_are_counted_and_the_pipeline_never_waits():
     blocked, graph = threading.Event(), FakeGraph()
     with ExitStack() as stack:
-        graph.receivers["/tf"].append(lambda raw: blocked.wait(10.0) and None)
+        graph.receivers["/tf"].append(lambda raw: (blocked.wait(10.0), None)[1])
         output = Stage(graph, stack).output(rate_hz=0.0, queue=50)
         stack.callback(blocked.set)
         began_s = time.thread_time()

@@ -169,7 +169,12 @@ def test_the_tap_sees_every_message_as_it_came_with_its_definition():
 
 def test_in_a_namespace_the_usual_names_are_looked_for_there():
     graph = Robot(topics=())
-    graph.there = {"/points_raw": made.CLOUD, "/r2/points_raw": made.CLOUD, "/r2/imu_raw": made.IMU, "/imu/data": made.IMU}
+    graph.there = {
+        "/points_raw": made.CLOUD,
+        "/r2/points_raw": made.CLOUD,
+        "/r2/imu_raw": made.IMU,
+        "/imu/data": made.IMU,
+    }
     graph.on_subscribe = lambda at: graph.publish(f"/{at.rsplit('/', 1)[1]}", 0, at) if at.startswith("/r2") else None
     assert source(graph, namespace="r2").topics == {"lidar": "/r2/points_raw", "imu": "/r2/imu_raw"}
 
@@ -177,7 +182,9 @@ def test_in_a_namespace_the_usual_names_are_looked_for_there():
 def test_a_relative_name_in_the_robot_file_is_in_the_namespace_and_one_with_a_slash_is_not():
     graph = Robot(topics=())
     graph.there = {"/r2/cloud": made.CLOUD, "/shared_imu": made.IMU}
-    graph.on_subscribe = lambda at: graph.publish({"/r2/cloud": CLOUDS, "/shared_imu": SAMPLES}[at], 0, at) if at in graph.there else None
+    graph.on_subscribe = lambda at: (
+        graph.publish({"/r2/cloud": CLOUDS, "/shared_imu": SAMPLES}[at], 0, at) if at in graph.there else None
+    )
     named = robot_from_yaml(f"lidar: {{rings: 3, topic: cloud}}\nimu: {{topic: /shared_imu}}\n{RIGID}")
     assert source(graph, named, namespace="r2").topics == {"lidar": "/r2/cloud", "imu": "/shared_imu"}
 
@@ -254,7 +261,9 @@ def test_what_the_robot_file_says_counts_more_than_tf_static():
 
 
 def test_an_imu_that_nobody_places_is_an_error():
-    with pytest.raises(InputError, match=r"T_lidar_imu: must be given.*does not connect the frames velodyne and imu_link"):
+    with pytest.raises(
+        InputError, match=r"T_lidar_imu: must be given.*does not connect the frames velodyne and imu_link"
+    ):
         source(Robot(), robot_from_yaml("lidar: {rings: 3}"))
 
 
