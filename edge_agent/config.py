@@ -8,10 +8,10 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from edge_agent.imu.settings import ImuSettings
+from edge_agent.live_settings import LiveConfig
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.ros.settings import Ros1Settings, Ros2Settings, RosSettings
 from edge_agent.settings import PipelineSettings
-from edge_agent.sources.live.settings import LiveConfig
 from splitslam.config import Model
 from splitslam.security.settings import ClientTls
 
@@ -41,8 +41,8 @@ SOURCES = ("recording", "live", "ros1", "ros2")  # sections of `source`, of whic
 class SourceConfig(Model):
     """Where scans and samples come from: a recording, or sensors.
 
-    realtime: a recording paced by its clock; otherwise lockstep, as fast as it goes and reproducible. Sensors are always
-    by the clock.
+    realtime: a recording paced by its clock; otherwise lockstep, as fast as it goes and reproducible. Sensors are
+    always by the clock.
     queue_scans: scans that may wait to be processed; more are dropped (by the clock) or not read yet (lockstep).
     began_s: realtime only: when the recording's first message was (or will be) due, on the system's monotonic clock.
     What was due before the agent listens has passed, as with a sensor; null: the recording begins when the agent does.

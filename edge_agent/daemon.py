@@ -130,7 +130,7 @@ class _Run:
         )
         metrics.certificate_from(self._uplink.certificate_expires_s)
         self._queue = EventQueue(config.source.queue_scans, by_the_clock, metrics)
-        self._after = StartAfter(0, -(2**62))
+        self._after = StartAfter(0, -(2**62), live=source.live_offset_ns is not None)
         began_s, offset_ns = config.source.began_s, source.live_offset_ns
         self._reader = Reader(self._events(), self._queue, by_the_clock, began_s, offset_ns)
         feed = None

@@ -5,17 +5,23 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edge_agent.sources import TimedEvent
+from edge_agent.sources.time_map import shifted
 from edge_agent.types import MotionSource
 from splitslam import se3
 from splitslam.features import Motion
+from splitslam.logs import fields
 from splitslam.scan import GnssFix, Scan
 
+_log = logging.getLogger(__name__)
+
+_SECOND_NS = 1_000_000_000
 _LEAD_NS = 500_000_000  # of samples before the first own scan, to level the robot by
 _STEADY_S = 0.3  # so long a turn is taken to go on as it is; beyond, nothing is known of it
 _RATE_RADPS, _SPEED_MPS = 1.5, 10.0  # what a robot may do unseen, 1 sigma
@@ -24,28 +30,39 @@ _LARGEST_RAD = 3.0
 
 @dataclass(slots=True)
 class StartAfter:
-    """The last frame of the agent before: its seq and stamp. skipped: scans of a recording up to there, read again."""
+    """The last frame of the agent before: its seq and stamp. skipped: scans of a recording up to there, read again.
+
+    live: scans up to there are none that were read before, but of a clock that was set back meanwhile: stamps go on
+    from a second after that frame.
+    """
 
     seq: int
     stamp_ns: int
+    live: bool = False
     skipped: int = 0
 
     def events(self, events: Iterator[TimedEvent | None]) -> Iterator[TimedEvent | None]:
         """What a source holds after that frame, and the samples just before it."""
+        set_back_ns, first = 0, True
         for timed in events:
             if timed is None:
                 yield None
                 continue
-            event = timed[1]
+            arrival_ns, event = timed[0], shifted(timed[1], set_back_ns)
             if isinstance(event, Scan):
-                if event.stamp_ns <= self.stamp_ns:
+                if event.stamp_ns <= self.stamp_ns and self.live and first:
+                    set_back_ns = self.stamp_ns + _SECOND_NS - event.stamp_ns
+                    _log.warning("clock set back since the agent before", extra=fields(by_s=set_back_ns * 1e-9))
+                    event = shifted(event, set_back_ns)
+                elif event.stamp_ns <= self.stamp_ns and not self.live:
                     self.skipped += 1
                     continue
+                first = False
             else:
                 newest_ns = event.stamp_ns if isinstance(event, GnssFix) else int(event.stamps_ns[-1])
                 if newest_ns <= self.stamp_ns - _LEAD_NS:
                     continue
-            yield timed
+            yield arrival_ns, event
 
 
 class UnseenMotion:

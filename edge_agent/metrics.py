@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from edge_agent.odometry.outage import OutageReport
-    from edge_agent.sources.live.clock import RunClock
+    from edge_agent.sources.live.clock import RunClock, SensorClock
 
 NAN = float("nan")
 _BYTES_PER_KBIT = 125.0
@@ -110,6 +110,7 @@ class EdgeMetrics:
         self._collect(m.SILENT_SECONDS, self._silent_s)
         self._answered_s = NAN
         self._collect(m.ANSWER_AGE, lambda: time.monotonic() - self._answered_s)
+        self._live()
         self._page: Page | None = None
         show_build(self.registry)
         ProcessCollector(registry=self.registry)
@@ -201,11 +202,28 @@ class EdgeMetrics:
         clocks: RunClock,
     ) -> None:
         """Shows what came of live sensors, and whose time they are in."""
-        self._collect(m.SENSOR_PACKETS, packets)
-        self._collect(m.SENSOR_LOSSES, losses)
-        self._collect(m.CLOCK_CHOSEN, lambda: {(c.name, c.chosen): 1.0 for c in clocks.all() if c.chosen})
-        self._collect(m.CLOCK_BEHIND, lambda: dict.fromkeys(m.SENSORS, NAN) | clocks.behind_s())
-        self._collect(m.CLOCK_PROBLEMS, lambda: float(len(clocks.problems)))
+        self._live_packets, self._live_losses, self._live_clocks = packets, losses, clocks
+
+    def _live(self) -> None:
+        """Without live sensors all zero."""
+        self._live_packets: Callable[[], Mapping[tuple[str, str], float]] = dict
+        self._live_losses: Callable[[], Mapping[str, int]] = dict
+        self._live_clocks: RunClock | None = None
+
+        def clocks() -> Sequence[SensorClock]:
+            return [] if self._live_clocks is None else self._live_clocks.all()
+
+        def behind_s() -> dict[str, float]:
+            return {} if self._live_clocks is None else self._live_clocks.behind_s()
+
+        def problems() -> float:
+            return 0.0 if self._live_clocks is None else float(len(self._live_clocks.problems))
+
+        self._collect(m.SENSOR_PACKETS, lambda: self._live_packets())
+        self._collect(m.SENSOR_LOSSES, lambda: self._live_losses())
+        self._collect(m.CLOCK_CHOSEN, lambda: {(c.name, c.chosen): 1.0 for c in clocks() if c.chosen})
+        self._collect(m.CLOCK_BEHIND, lambda: dict.fromkeys(m.SENSORS, NAN) | behind_s())
+        self._collect(m.CLOCK_PROBLEMS, problems)
 
     def certificate_from(self, expires_s: Callable[[], float]) -> None:
         """Shows when the agent's certificate or its authority's expires; Unix time."""

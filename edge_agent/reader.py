@@ -18,6 +18,7 @@ _BATCH = 256  # events without a scan that are handed over together
 _MAX_EVENTS = 100_000
 _TICK_S = 0.005  # by the clock, what is due within one tick travels together
 _CAUGHT_UP_S, _CATCH_UP_S = 0.25, 60.0
+_IDLE_S = 0.1  # without events a live source's loop gets an empty batch, to look for answers
 _END: Any = object()
 
 
@@ -179,12 +180,17 @@ class Reader(threading.Thread):
         self._start_s = time.monotonic()
         batch: list[TimedEvent] = []
         listening = self._began_s is None
+        put_s = 0.0
         for event in self._pulled():
             self.cpu_s = time.thread_time()
-            if event is None:  # nothing more has come
-                if (batch and not self._queue.put(batch, self._catching_up)) or self._stopped.is_set():
+            if event is None:  # nothing more has come; the loop looks for answers even if nothing ever does
+                if batch or time.monotonic() - put_s > _IDLE_S:
+                    put_s = time.monotonic()
+                    if not self._queue.put(batch, self._catching_up):
+                        return
+                    batch = []
+                if self._stopped.is_set():
                     return
-                batch = []
                 continue
             if self._paced:
                 now_s = time.monotonic()

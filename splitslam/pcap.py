@@ -62,7 +62,8 @@ def _ip_of(frame: bytes, link: int) -> Any | None:
             return None
     except dpkt.dpkt.Error:
         return None
-    return packet if isinstance(packet, dpkt.ip.IP) and packet.p == dpkt.ip.IP_PROTO_UDP else None
+    is_udp = isinstance(packet, dpkt.ip.IP) and getattr(packet, "p", None) == dpkt.ip.IP_PROTO_UDP
+    return packet if is_udp else None
 
 
 class _Fragments:
@@ -74,10 +75,9 @@ class _Fragments:
 
     def add(self, packet: Any) -> tuple[int, bytes] | None:
         """(port, data) of the datagram that this one completes."""
-        offset, more = int(packet.offset), bool(packet.mf)
+        offset, more = 8 * int(packet.offset), bool(packet.mf)
         if offset == 0 and not more:
-            udp = packet.data if isinstance(packet.data, dpkt.udp.UDP) else dpkt.udp.UDP(bytes(packet.data))
-            return int(udp.dport), bytes(udp.data)
+            return _udp(bytes(packet.data))
         key = (packet.src, packet.dst, packet.id)
         parts = self._parts.setdefault(key, {})
         parts[offset] = bytes(packet.data)
@@ -86,5 +86,10 @@ class _Fragments:
         if sum(map(len, parts.values())) != self._sizes.get(key):
             return None
         del self._parts[key], self._sizes[key]
-        udp = dpkt.udp.UDP(b"".join(parts[at] for at in sorted(parts)))
-        return int(udp.dport), bytes(udp.data)
+        return _udp(b"".join(parts[at] for at in sorted(parts)))
+
+
+def _udp(data: bytes) -> tuple[int, bytes]:
+    """(destination port, payload)."""
+    datagram: Any = dpkt.udp.UDP(data)
+    return int(datagram.dport), bytes(datagram.data)

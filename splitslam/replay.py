@@ -1,4 +1,4 @@
-"""Sends the packets of a capture again, as the sensor did: for tests of a live agent, and for users without a sensor."""
+"""Sends the packets of a capture again, as the sensor did: for tests of a live agent, and for want of a sensor."""
 
 from __future__ import annotations
 

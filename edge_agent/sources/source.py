@@ -81,7 +81,7 @@ class Source(Protocol):
         ...
 
     def status(self) -> str:
-        """What of the sensors needs looking at now, for systemd's status line: `imu silent for 12 s`; "" for nothing."""
+        """What of the sensors needs looking at now, for the status line: `imu silent for 12 s`; "" for nothing."""
         ...
 
     def close(self) -> None:

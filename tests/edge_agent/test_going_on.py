@@ -33,6 +33,17 @@ def test_what_an_agent_before_has_done_is_left_out_and_the_samples_that_level_th
     assert min(e.stamp_ns // SCAN_NS for e in own if isinstance(e, GnssFix)) == 26
 
 
+def test_a_live_sensors_clock_that_was_set_back_between_two_agents_costs_no_scan():
+    after = StartAfter(seq=3, stamp_ns=30 * SCAN_NS, live=True)
+    events = [(k, event) for k in range(10) for event in (imu_at(k * SCAN_NS), scan(k))]
+    own = [event for timed in after.events(iter([None, *events])) if timed is not None for event in timed[1:]]
+    stamps_ns = [event.stamp_ns for event in own if isinstance(event, Scan)]
+    assert stamps_ns == [30 * SCAN_NS + 10**9 + k * SCAN_NS for k in range(10)]
+    samples_ns = [int(event.stamps_ns[0]) for event in own if isinstance(event, ImuSamples)]
+    assert samples_ns == stamps_ns[1:]  # those before the first scan are of no use
+    assert after.skipped == 0
+
+
 def fix(k: int) -> GnssFix:
     return GnssFix(k * SCAN_NS, 48.0, 11.0, 0.0, None)
 

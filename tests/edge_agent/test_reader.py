@@ -127,3 +127,26 @@ def test_stop_ends_the_loop_and_the_reader_at_once():
     assert len(list(queue.batches())) < 100
     reader.join(1.0)
     assert time.monotonic() - started_s < 1.0
+
+
+def test_of_a_live_source_what_has_come_is_handed_on_at_once_and_while_nothing_comes_the_loop_is_woken():
+    queue = EventQueue(2, may_drop=True, metrics=EdgeMetrics())
+    now_ns = time.monotonic_ns()
+
+    def live() -> Iterator[TimedEvent | None]:
+        yield now_ns + 7, imu_at(1)
+        yield now_ns + 8, imu_at(2)
+        yield None
+        while True:
+            time.sleep(0.02)
+            yield None
+
+    reader = Reader(live(), queue, realtime=True, live_offset_ns=7)
+    reader.start()
+    batches = queue.batches()
+    assert [arrival_ns for arrival_ns, _ in next(batches)] == [now_ns + 7, now_ns + 8]
+    assert next(batches) == []
+    assert reader.due_s(now_ns + 7) == pytest.approx(now_ns * 1e-9, abs=1e-6)
+    started_s = time.monotonic()
+    reader.close()
+    assert time.monotonic() - started_s < 0.5

@@ -12,7 +12,7 @@ HOUR_US = 3_600_000_000
 
 
 def data_packet(number: int, start_us: float = 0.0, code: int = VLP16, range_steps: int = 2500) -> bytes:
-    """The VLP-16's packet of this number: the sensor turns evenly, and sees a wall all around. start_us: its clock at 0."""
+    """The VLP-16's packet of this number: it turns evenly and sees a wall all around. start_us: its clock at 0."""
     azimuth = 36_000 * number / TURN_PACKETS
     blocks = b"".join(
         b"\xff\xee"
@@ -54,7 +54,7 @@ def gst(hhmmss: str, latitude_m: float, longitude_m: float, altitude_m: float) -
 def mip_packet(fields: dict[int, bytes], descriptor_set: int = 0x80) -> bytes:
     """A MIP packet with these fields, checksummed the slow way."""
     payload = b"".join(bytes([len(data) + 2, kind]) + data for kind, data in fields.items())
-    packet = b"ue" + bytes([descriptor_set, len(payload)]) + payload
+    packet = b"\x75\x65" + bytes([descriptor_set, len(payload)]) + payload
     first = second = 0
     for byte in packet:
         first = (first + byte) % 256

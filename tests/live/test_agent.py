@@ -42,8 +42,17 @@ class Agent:
 
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[str]:
-    command = [str(BIN / "map-service"), "serve", "--listen", "127.0.0.1:0", "--store", f"sqlite:///{tmp_path}/s.sqlite"]
-    with subprocess.Popen([*command, "--workers", "1", "--metrics-port", "0"], stdout=subprocess.PIPE, text=True) as rack:
+    command = [
+        str(BIN / "map-service"),
+        "serve",
+        "--listen",
+        "127.0.0.1:0",
+        "--store",
+        f"sqlite:///{tmp_path}/s.sqlite",
+    ]
+    with subprocess.Popen(
+        [*command, "--workers", "1", "--metrics-port", "0"], stdout=subprocess.PIPE, text=True
+    ) as rack:
         assert rack.stdout is not None
         yield json.loads(rack.stdout.readline())["grpc"]
         rack.terminate()

@@ -51,7 +51,9 @@ def test_the_recorded_samples_are_those_of_a_sensor_on_earth_at_125_hz(shared_da
     assert np.median(np.diff(samples.stamps_ns)) == 8_000_000
     assert (np.diff(samples.stamps_ns) > 0).all()
     # the first packet, read by hand from its bytes
-    assert samples.accel_mps2[0] / 9.80665 == pytest.approx(struct.unpack(">3f", bytes.fromhex("3c8eaf72bbda6818bf7c52e8")))
+    assert samples.accel_mps2[0] / 9.80665 == pytest.approx(
+        struct.unpack(">3f", bytes.fromhex("3c8eaf72bbda6818bf7c52e8"))
+    )
     assert samples.gyro_radps[0] == pytest.approx(struct.unpack(">3f", bytes.fromhex("bb469ccf39a34c8bbb8be12f")))
     assert int(samples.stamps_ns[0]) == 0x41D8BAE040
 
@@ -67,7 +69,16 @@ def test_garbage_broken_packets_and_chance_sync_bytes_cost_nothing_but_themselve
     whole = [mip_sample(reference_ns=k * 8_000_000) for k in range(20)]
     broken = bytearray(whole[5])
     broken[9] ^= 0x10
-    stream = b"\x00uue" + whole[0] + b"garbage" + whole[1] + bytes(broken) + b"ue\x80\xff" + whole[2] + whole[3][:-7]
+    stream = (
+        b"\x00u\x75\x65"
+        + whole[0]
+        + b"garbage"
+        + whole[1]
+        + bytes(broken)
+        + b"\x75\x65\x80\xff"
+        + whole[2]
+        + whole[3][:-7]
+    )
     stream += b"".join(whole[6:])
     feed = made_feed()
     samples = fed(feed, [stream + bytes(300)])
@@ -81,7 +92,7 @@ def test_a_stream_of_noise_ends_nothing_and_is_counted():
     noise = random.Random(1).randbytes(200_000)
     assert not [reading for chunk in pieces(noise, itertools.repeat(997)) for reading in feed.take(chunk, 0)]
     assert feed.counts["garbage"] > 199_000
-    (reading,) = [r for r in feed.take(bytes(300) + mip_sample(reference_ns=7), 0)]
+    (reading,) = feed.take(bytes(300) + mip_sample(reference_ns=7), 0)
     assert isinstance(reading.event, ImuSamples)
 
 

@@ -13,14 +13,24 @@ from pathlib import Path
 
 import pytest
 
+from edge_agent.live_settings import Serial, Tcp
 from edge_agent.sources.live.arrivals import ArrivalClock
-from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
-from edge_agent.sources.live.settings import Serial, Tcp
+from edge_agent.sources.live.ports import Port
+from edge_agent.sources.live.stream_ports import SerialPort, TcpPort
+from edge_agent.sources.live.udp_port import UdpPort
 from splitslam.errors import InputError
 
 
 def udp_port(sender: str | None = None, receive_bytes: int = 2**20) -> UdpPort:
     return UdpPort("source.live.lidar.udp.port", ("127.0.0.1", 0), receive_bytes, sender, ArrivalClock())
+
+
+def is_ready(port: Port) -> bool:
+    """As the source asks."""
+    assert port.fileno is not None
+    poll = select.poll()
+    poll.register(port.fileno, select.POLLOUT if port.writes else select.POLLIN)
+    return bool(poll.poll(20))
 
 
 def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.0) -> bytes:
@@ -29,7 +39,7 @@ def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.
     while not done(got):
         assert time.monotonic() < deadline_s, got
         port.tend()
-        if port.fileno is not None and select.select([port.fileno], [port.fileno] if port.writes else [], [], 0.02):
+        if port.fileno is not None and is_ready(port):
             got += b"".join(data for data, _ in port.read())
     return got
 
@@ -89,6 +99,10 @@ def test_a_serial_device_that_is_not_there_yet_is_waited_for_and_opened_again_wh
         tty.setraw(terminal)
         device.unlink(missing_ok=True)
         device.symlink_to(os.ttyname(terminal))
+        deadline_s = time.monotonic() + 10.0
+        while port.fileno is None:
+            assert time.monotonic() < deadline_s
+            port.tend()
         os.write(controller, text)
         assert read_until(port, lambda got, text=text: got.endswith(text)) == text
         os.close(terminal)

@@ -26,7 +26,10 @@ def loaded(tmp_path: Path, source: Any) -> AgentConfig:
         ({"recording": "a.bag", "live": {}}, "source: expected exactly one of .*, found recording and live"),
         ({"live": {}, "realtime": True}, "source: realtime, max_scans, began_s: expected only with recording"),
         ({"live": {}, "max_scans": 3}, "expected only with recording"),
-        ({"live": {"lidar": {"udp": {"prot": 2368}}}}, "udp.prot: unknown key; nearest known: source.live.lidar.udp.port"),
+        (
+            {"live": {"lidar": {"udp": {"prot": 2368}}}},
+            "udp.prot: unknown key; nearest known: source.live.lidar.udp.port",
+        ),
         ({"live": {"gnss": {}}}, "source.live.gnss: expected exactly one of serial, tcp"),
         ({"live": {"gnss": {"tcp": {"host": "gnss.local", "port": 1}}}}, "host: expected an IP address"),
         ({"live": {"imu": {"serial": {}}}}, "source.live.imu.serial.device: must be given"),

@@ -107,7 +107,9 @@ def test_lidar_imu_and_gnss_come_together_in_one_time(tmp_path: Path):
                         os.write(imu_end, mip_sample(reference_ns=77 * 10**9 + round(k * STEP_US * 1000)))
                     if k % 150 == 0:
                         utc = time.strftime("%H%M%S", time.gmtime()) + f".{time.time_ns() // 10**7 % 100:02d}"
-                        os.write(gnss_end, gga(utc).encode() + rmc(utc, time.strftime("%d%m%y", time.gmtime())).encode())
+                        os.write(
+                            gnss_end, gga(utc).encode() + rmc(utc, time.strftime("%d%m%y", time.gmtime())).encode()
+                        )
                     k += 1
                     time.sleep(max(began_s + k * STEP_US * 1e-6 - time.monotonic(), 0.0))
             listener.until_quiet()
@@ -158,7 +160,8 @@ def test_raw_scans_of_a_live_run_give_the_same_scans_again(tmp_path: Path):
         finally:
             listener.close()
     ring.close()
-    part = write_raw(tmp_path / "raw", 60.0, tmp_path)
+    (tmp_path / "again").mkdir()
+    part = write_raw(tmp_path / "raw", 60.0, tmp_path / "again")
     assert part.path is not None
     with open_recording(part.path, source.robot) as recording:
         again = [event for _, event in recording.events()]

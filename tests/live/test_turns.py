@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from itertools import pairwise
 
 import pytest
 
@@ -76,7 +77,7 @@ def test_time_goes_on_over_the_full_hour():
     start_us = 3_600_000_000 - 200_000.0
     turns, counts = cut(list(WHOLE), start_us)
     stamps_ns = [packet.sensor_ns for turn in turns for packet in turn]
-    assert all(1_327_000 <= b - a <= 1_328_000 for a, b in zip(stamps_ns, stamps_ns[1:], strict=False))
+    assert all(1_327_000 <= b - a <= 1_328_000 for a, b in pairwise(stamps_ns))
     assert stamps_ns[0] < T0_NS + HOUR_NS < stamps_ns[-1]
     assert counts["lost"] == 0
 

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from edge_agent.live_settings import LiveConfig
 from edge_agent.sources import Event, TimedEvent
 from edge_agent.sources.live.opening import open_live
-from edge_agent.sources.live.settings import LiveConfig
 from edge_agent.sources.live.source import LiveSource
 from splitslam.robot import Robot, load_robot
 

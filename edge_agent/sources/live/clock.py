@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from edge_agent.sources.live.settings import ClockChoice
+from edge_agent.live_settings import ClockChoice
 from splitslam.logs import fields
 
 _log = logging.getLogger(__name__)
@@ -217,7 +217,9 @@ class RunClock:
             if abs(apart_ns) <= self._apart_ns:
                 clock.chosen = base.value
             else:
-                self._wrong(f"{clock.name}: its {base.value} time is {apart_ns * 1e-9:+.3f} s behind {reference.name}'s")
+                self._wrong(
+                    f"{clock.name}: its {base.value} time is {apart_ns * 1e-9:+.3f} s behind {reference.name}'s"
+                )
         elif self._choice not in ("auto", "host") and base.value != self._choice:
             self._wrong(f"{clock.name}: not locked to {self._choice}, as clock: {self._choice} asks")
         said = fields(sensor=clock.name, taken_from=clock.chosen, behind_s=round(clock.lateness.offset_ns * 1e-9, 4))

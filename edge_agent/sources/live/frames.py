@@ -65,9 +65,7 @@ class Frames:
     beginning nobody saw), foreign (no such column), and besides, reordered (used, but came late) and lost.
     """
 
-    def __init__(
-        self, rings: int, columns: int, packets: int, first_column: int, counts: Counter[str]
-    ) -> None:
+    def __init__(self, rings: int, columns: int, packets: int, first_column: int, counts: Counter[str]) -> None:
         """packets: of a frame. first_column: where the sensor's field of view begins."""
         self._rings, self._columns, self._packets, self._first_column = rings, columns, packets, first_column
         self.counts = counts

@@ -1,7 +1,7 @@
 """MicroStrain's MIP (3DM-GX5, CV7 data communications protocols): a stream of packets -> IMU samples.
 
-A packet is `ue`, a descriptor set, the payload's length, fields (length, descriptor, data; big endian) and a checksum
-(Fletcher's, modulo 256, over all before it).
+A packet is 0x75 0x65, a descriptor set, the payload's length, fields (length, descriptor, data; big endian) and a
+checksum (Fletcher's, modulo 256, over all before it).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from edge_agent.sources.live.smoothing import SmoothedArrivals
 from edge_agent.sources.source import Counts
 from splitslam.scan import ImuSamples
 
-SYNC = b"ue"
+SYNC = b"\x75\x65"
 _HEAD, _CHECK = 4, 2
 _SENSOR_DATA = 0x80
 _ACCEL, _GYRO = 0x04, 0x05

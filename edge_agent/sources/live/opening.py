@@ -9,15 +9,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.live_settings import LiveConfig
 from edge_agent.sources import beams
 from edge_agent.sources.live import raw_messages
 from edge_agent.sources.live.arrivals import ArrivalClock
 from edge_agent.sources.live.clock import RunClock
 from edge_agent.sources.live.feed import Feed
-from edge_agent.sources.live.ports import Port, SerialPort, TcpPort, UdpPort
+from edge_agent.sources.live.ports import Port
 from edge_agent.sources.live.presence import Presence
-from edge_agent.sources.live.settings import LiveConfig
 from edge_agent.sources.live.source import Input, LiveSource
+from edge_agent.sources.live.stream_ports import SerialPort, TcpPort
+from edge_agent.sources.live.udp_port import UdpPort
 from edge_agent.sources.source import Counts
 from splitslam.errors import InputError
 from splitslam.robot import Robot
@@ -153,6 +155,9 @@ class _Opening:
         where = f"source.live.lidar.udp.{key}"
         opened = UdpPort(where, (udp.host, port), self.config.receive_bytes, udp.sender, self.arrivals)
         self._add(sensor, opened, feed, f"{self.robot.lidar.model} on udp {udp.host}:{opened.port} ({key})")
+        if key == "port" and opened.receive_bytes < self.config.receive_bytes:
+            granted = f"{opened.receive_bytes} of {self.config.receive_bytes} bytes"
+            self.notes.append(f"{sensor}: the system grants a buffer of {granted} (net.core.rmem_max)")
 
     def _add(self, sensor: str, port: Port, feed: Feed, said: str) -> None:
         self.opened.callback(port.close)
@@ -172,7 +177,9 @@ class _Opening:
             else:
                 sections[name] = section.model_copy(update={"topic": self.topics[name]})
         if _IMU in self.topics and not self.robot.imu_placed:
-            raise InputError("robot file: T_lidar_imu: must be given when there is an IMU (p_lidar = T_lidar_imu @ p_imu)")
+            raise InputError(
+                "robot file: T_lidar_imu: must be given when there is an IMU (p_lidar = T_lidar_imu @ p_imu)"
+            )
         if self.robot.wheels is not None:
             self.notes.append("wheels: in the robot file, but not read live: not used")
             sections["wheels"] = None

@@ -51,13 +51,15 @@ def open_ouster(robot: Robot, clock: SensorClock, counts: Counts, dropped: Count
     sdk = _sdk()
     path = robot.lidar.metadata
     if path is None:
-        raise InputError("lidar.metadata: must be given for a live ouster: the JSON of http://SENSOR/api/v1/sensor/metadata")
+        raise InputError(
+            "lidar.metadata: must be given for a live ouster: the JSON of http://SENSOR/api/v1/sensor/metadata"
+        )
     text = read_text(Path(path))
     try:
         info = sdk.SensorInfo(text)
     except Exception as error:  # the SDK raises whatever its parser trips over
         raise InputError(f"{path}: not Ouster metadata: {' '.join(str(error).split())}") from None
-    parser = _Parser(sdk, info, _base_of(text))
+    parser = Parser(sdk, info, _base_of(text))
     if parser.rings != robot.lidar.rings:
         raise InputError(f"lidar.rings: {robot.lidar.rings}, but {path} says {parser.rings}")
     T_lidar_imu = np.array(info.imu_to_sensor_transform, dtype=np.float64)
@@ -76,7 +78,7 @@ def _sdk() -> ModuleType:
     except ImportError:
         raise InputError(
             "lidar.model: ouster: the packets of a live Ouster are parsed by ouster-sdk, which is not installed;"
-            " expected: pip install 'splitslam[ouster]'"
+            " expected: pip install --no-deps ouster-sdk==1.0.1"
         ) from None
     return core
 
@@ -88,7 +90,7 @@ def _base_of(metadata: str) -> TimeBase:
     return _BASES.get(mode, TimeBase.OWN)
 
 
-class _Parser:
+class Parser:
     """ouster-sdk's view of one sensor's packets."""
 
     def __init__(self, sdk: ModuleType, info: Any, base: TimeBase) -> None:
@@ -131,11 +133,9 @@ class _Parser:
 class OusterLidarFeed:
     """LiDAR packets, put together to frames and those to scans; points in the order in which they were fired."""
 
-    def __init__(
-        self, parser: _Parser, robot: Robot, clock: SensorClock, counts: Counts, dropped: Counter[str]
-    ) -> None:
+    def __init__(self, parser: Parser, robot: Robot, clock: SensorClock, counts: Counts, dropped: Counter[str]) -> None:
         self.counts: Counter[str] = Counter()
-        self._parser, self._clock, self._read, self._dropped = parser, clock, counts, dropped
+        self.parser, self._clock, self._read, self._dropped = parser, clock, counts, dropped
         first, last = parser.window
         columns = (last - first) % parser.columns + 1
         packets = -(-columns // parser.columns_per_packet)
@@ -144,13 +144,13 @@ class OusterLidarFeed:
 
     def take(self, data: bytes, arrival_ns: int) -> Iterator[Reading]:
         """One packet."""
-        if len(data) != self._parser.lidar_bytes:
+        if len(data) != self.parser.lidar_bytes:
             self.counts["size"] += 1
             return
-        columns = self._parser.columns_of(data)
+        columns = self.parser.columns_of(data)
         newest_ns = int(columns.stamps_ns[columns.valid].max(initial=0))
         if newest_ns:
-            self._clock.heard(newest_ns, arrival_ns, self._parser.base(newest_ns))
+            self._clock.heard(newest_ns, arrival_ns, self.parser.base(newest_ns))
         for frame in self._frames.add(columns):
             yield from self._decoded(frame)
 
@@ -161,7 +161,7 @@ class OusterLidarFeed:
 
     def _decoded(self, frame: Frame) -> Iterator[Reading]:
         self._read.scans_read += 1
-        native_bytes = self._parser.lidar_bytes * len(frame.seen)
+        native_bytes = self.parser.lidar_bytes * len(frame.seen)
         self._read.native_bytes += native_bytes
         try:
             scan = self._gate(self._raw(frame, native_bytes))
@@ -181,7 +181,7 @@ class OusterLidarFeed:
         order = np.argsort(frame.stamps_ns, kind="stable")
         turn, ring = np.nonzero(frame.range_mm[:, order].T)
         column = order[turn]
-        points = np.asarray(self._parser.lut(frame.range_mm), dtype=np.float32)
+        points = np.asarray(self.parser.lut(frame.range_mm), dtype=np.float32)
         return RawScan(
             stamp_ns=stamp_ns,
             end_ns=end_ns,
@@ -197,7 +197,7 @@ class OusterImuFeed:
     """IMU packets of one sample each (100 Hz)."""
 
     def __init__(
-        self, parser: _Parser, clock: SensorClock, time_offset_ns: int, counts: Counts, dropped: Counter[str]
+        self, parser: Parser, clock: SensorClock, time_offset_ns: int, counts: Counts, dropped: Counter[str]
     ) -> None:
         self.counts: Counter[str] = Counter()
         self._parser, self._clock, self._time_offset_ns = parser, clock, time_offset_ns
@@ -220,4 +220,3 @@ class OusterImuFeed:
     def quiet(self) -> Iterator[Reading]:
         """Nothing is held back."""
         return iter(())
-

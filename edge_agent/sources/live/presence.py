@@ -40,7 +40,9 @@ class Presence:
 
     def status(self, now_ns: int) -> str:
         """`imu silent for 12 s`, for all that are; "" for none."""
-        silent = [(sensor, (now_ns - self._heard_ns[sensor]) * 1e-9) for sensor in self._heard_ns if self.is_lost(sensor)]
+        silent = [
+            (sensor, (now_ns - self._heard_ns[sensor]) * 1e-9) for sensor in self._heard_ns if self.is_lost(sensor)
+        ]
         return ", ".join(f"{sensor} silent for {seconds:.0f} s" for sensor, seconds in silent)
 
     def is_lost(self, sensor: str) -> bool:

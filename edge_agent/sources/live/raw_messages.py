@@ -23,9 +23,7 @@ _IMU = "sensor_msgs/msg/Imu"
 _FIX = "sensor_msgs/msg/NavSatFix"
 CLOUD_TOPIC, TURN_TOPIC, IMU_TOPIC, FIX_TOPIC = "/points", "/velodyne_packets", "/imu/data", "/gps/fix"
 
-_POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")]
-)
+_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
 _DATATYPES = {"<f4": 7, "<u4": 6, "<u2": 4}  # sensor_msgs/PointField
 _UNKNOWN = np.zeros(9)
 

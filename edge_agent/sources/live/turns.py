@@ -10,6 +10,7 @@ import struct
 from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 
 PACKET_BYTES = 1206
 DUAL_RETURN = 0x39
@@ -37,7 +38,7 @@ class Turns:
 
     newest_ns: first firing of the packet added last. step_ns: from one packet to the next.
     counts: packets by what became of them: used (in a turn), duplicate, late (their turn is gone), start (of a turn
-    whose beginning nobody saw), and besides, reordered (used, but came late) and lost (never came, by the gaps in time).
+    whose beginning nobody saw), and besides, reordered (used, but came late) and lost (by gaps in time).
     """
 
     def __init__(self, model: str, rate_hz: float, counts: Counter[str]) -> None:
@@ -112,7 +113,7 @@ class Turns:
         times = [packet.sensor_ns for packet in turn]
         if before_ns is not None:
             times.insert(0, before_ns)
-        self.counts["lost"] += sum(max(round((b - a) / self.step_ns) - 1, 0) for a, b in zip(times, times[1:], strict=False))
+        self.counts["lost"] += sum(max(round((b - a) / self.step_ns) - 1, 0) for a, b in pairwise(times))
         if not self._whole:
             self.counts["start"] += len(turn)
             return []

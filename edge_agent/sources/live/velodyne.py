@@ -68,7 +68,7 @@ class PositionFeed:
         return ()
 
     def utc_ns(self, arrival_ns: int) -> int | None:
-        """UTC of what came at `arrival_ns`, to some ms; None when the sensor is not locked, or has not said so lately."""
+        """UTC of what came at `arrival_ns`, to some ms; None when the sensor has not said lately that it is locked."""
         fixed = self._fixed
         if fixed is None or not -_FRESH_NS < arrival_ns - fixed.arrival_ns < _FRESH_NS:
             return None
@@ -76,7 +76,7 @@ class PositionFeed:
 
 
 class VelodyneFeed:
-    """The data packets, cut into turns and decoded; stamps are UTC while PPS is locked, else near the arrival's hour."""
+    """The data packets, cut into turns and decoded; stamps are UTC while PPS is locked, else of the nearest hour."""
 
     def __init__(
         self, robot: Robot, clock: SensorClock, position: PositionFeed, counts: Counts, dropped: Counter[str]

@@ -11,7 +11,6 @@ from pydantic import AfterValidator, Field, model_validator
 from splitslam.config import Model
 
 
-
 def _address(text: str) -> str:
     try:
         return str(ipaddress.ip_address(text))
