@@ -62,10 +62,11 @@ class Sums:
         self.sources: list[Tally[str]] = []
 
     def __call__(self) -> dict[str, int]:
-        total: Tally[str] = Tally()
+        total: dict[str, int] = {}
         for source in self.sources:
-            total += Tally(source)  # a copy first: another thread goes on counting
-        return dict(total)
+            for label, count in dict(source).items():  # a copy: another thread goes on counting
+                total[label] = total.get(label, 0) + count
+        return {label: count for label, count in total.items() if count}
 
 
 class EdgeMetrics:

@@ -11,7 +11,7 @@ from splitslam.registration._kernels import FASTMATH, PLANE, pack, slot_of
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def closeness(keys, geometry, points_lidar, poses, voxel_m, levels, gate_m, scores):
+def closeness(slots, geometry, points_lidar, poses, voxel_m, levels, gate_m, scores):
     """Adds to scores (C,) how close points (N, 3) lie to the map's fits from each of the poses (C, 4, 4).
 
     A point counts 1 - (d / gate)^2 for its distance d to the plane or line of the finest voxel around it that has one,
@@ -28,11 +28,12 @@ def closeness(keys, geometry, points_lidar, poses, voxel_m, levels, gate_m, scor
             size = voxel_m
             for level in range(levels):
                 ix, iy, iz = math.floor(x / size), math.floor(y / size), math.floor(z / size)
-                i = slot_of(keys, pack(level, np.int64(ix), np.int64(iy), np.int64(iz)))
+                i = slot_of(slots, pack(level, np.int64(ix), np.int64(iy), np.int64(iz)))
+                row = slots[i, 1]
                 size *= 2.0
-                if keys[i] == -1 or geometry[i, 9] == 0.0:
+                if slots[i, 0] == -1 or geometry[row, 9] == 0.0:
                     continue
-                g = geometry[i]
+                g = geometry[row]
                 dx, dy, dz = x - g[0], y - g[1], z - g[2]
                 along = dx * g[3] + dy * g[4] + dz * g[5]
                 square = along * along

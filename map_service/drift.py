@@ -42,5 +42,5 @@ class MapDrift:
         """(6, 6) of the map around T_local_lidar, for a scan matched with what `keyframes` (Q,) saw first."""
         if not len(keyframes):
             keyframes = np.array([len(self.keyframes) - 1])
-        seen_by = ((T_local_keyframe(i), self.keyframes[i]) for i in keyframes.tolist())
+        seen_by = [(T_local_keyframe(i), self.keyframes[i]) for i in keyframes.tolist()]
         return carried_over(T_local_lidar, seen_by) + self.slip

@@ -20,7 +20,8 @@ from map_service.membership import Peers, as_hint
 from map_service.messages import refusal_word
 from map_service.metrics import ServiceMetrics
 from map_service.streams import End, RobotStream
-from map_service.workers import WorkerPool, WorkerProcess
+from map_service.worker_process import WorkerProcess
+from map_service.workers import WorkerPool
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 

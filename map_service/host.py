@@ -5,18 +5,20 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from google.protobuf.message import DecodeError as WireError
 
+from map_service.answered import Answered, AnsweredFrames
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, Handed, HandOver, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
+from map_service.endings import Endings
 from map_service.engine import Engine
 from map_service.held import HeldSessions
 from map_service.hello import RefusedError
-from map_service.messages import refusal_word
 from map_service.opening import Opener
 from map_service.quota import SiteQuotas
 from map_service.session import SequenceGapError, Session
@@ -35,18 +37,24 @@ _log = logging.getLogger(__name__)
 
 
 class SessionHost:
-    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by the reader."""
+    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by the reader.
+
+    What a frame means for the map, and what is to be committed, can wait while other robots wait for an answer: `care`
+    does a piece of it. A session is cared for before its next frame at the latest.
+    """
 
     def __init__(self, config: ServiceConfig, engine: Engine, store: Store, send: Callable[[Any], None]) -> None:
         self.config, self.engine, self.store, self.tally = config, engine, store, Tally()
         self.sessions = HeldSessions(config.limits, send)
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
         self._send = send
+        self._endings = Endings(self.sessions, store, self.tally, send)
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
         self._opener = Opener(self.sessions, engine, store, self._committer, self._quotas, self.tally, self.cpu_ns)
         self._taken_over = TakenOver(Catalog(store))
         self._poison: dict[str, int] = {}
+        self._answered = AnsweredFrames()
 
     def cpu_ns(self) -> int:
         """CPU time of this process and its loop verifiers."""
@@ -55,11 +63,13 @@ class SessionHost:
     # -- messages -----------------------------------------------------------------------------------------------
 
     def handle(self, message: Any) -> None:
+        if isinstance(message, Request):
+            self._request(message)
+            return
+        self._settle_all()
         match message:
             case Open():
                 self._open(message)
-            case Request():
-                self._request(message)
             case Close(stream):
                 self.closed.discard(stream)
                 self.sessions.detach(stream)
@@ -76,31 +86,25 @@ class SessionHost:
         try:
             session = self._opener.open(message.hello)
         except RefusedError as refusal:
-            self._refuse(message.stream, message.session_id, refusal.message)
+            self._endings.refused(message.stream, message.session_id, refusal.message)
         except FinishedError:
             detail = "the session has ended and is read-only"
             refusal = pb.Refused(reason=pb.REFUSED_REASON_FINISHED, detail=detail)
-            self._refuse(message.stream, message.session_id, refusal)
+            self._endings.refused(message.stream, message.session_id, refusal)
         except StoreError as error:
             detail = f"store: {error}"[:200]
             refusal = pb.Refused(reason=pb.REFUSED_REASON_STORE, detail=detail, retry_after_ms=STORE_RETRY_MS)
-            self._refuse(message.stream, message.session_id, refusal)
+            self._endings.refused(message.stream, message.session_id, refusal)
         except StateVersionError as error:  # in the middle of an upgrade the robot is better off elsewhere
             detail = f"the session is of another release: {error}"
             refusal = pb.Refused(reason=pb.REFUSED_REASON_VERSION, detail=detail, retry_after_ms=VERSION_RETRY_MS)
-            self._refuse(message.stream, message.session_id, refusal)
+            self._endings.refused(message.stream, message.session_id, refusal)
         except Exception:
             _log.exception("session cannot be opened", extra=fields(session_id=message.session_id))
             self.sessions.drop(message.session_id)
             self._send(Abort(message.stream, "INTERNAL", "the session cannot be opened: see the service's log"))
         else:
             self._attach(session, message.stream)
-
-    def _refuse(self, stream: int, session_id: str, refused: pb.Refused) -> None:
-        reason = refusal_word(refused)
-        self.tally.count("refused", reason)
-        _log.warning("refused", extra=fields(session_id=session_id, reason=reason, detail=refused.detail))
-        self._send(Reply(stream, pb.StreamResponse(refused=refused).SerializeToString(), last=True))
 
     def _attach(self, session: Session, stream: int) -> None:
         self.sessions.attach(session, stream)
@@ -142,7 +146,12 @@ class SessionHost:
             self.sessions.abort(session, "INVALID_ARGUMENT", "more than the window allows")
 
     def _take(self, session: Session, request: pb.StreamRequest) -> None:
+        self._settle(self._answered.take(session))
+        if session.stream is None:  # what its last frame means could not be done: the robot resumes
+            return
         try:
+            if session.commit_due:
+                session.commit()
             if request.HasField("frame"):
                 self._frame(session, request.frame)
             else:
@@ -150,36 +159,56 @@ class SessionHost:
         except SequenceGapError as gap:
             self.sessions.abort(session, "ABORTED", str(gap))
         except FencedError as error:
-            self._fenced(session, error)
+            self._endings.fenced(session, error)
         except StoreError as error:
-            self._store_failed(session, error)
+            self._endings.store_failed(session, error)
 
     def _frame(self, session: Session, frame: pb.Frame) -> None:
-        name, start_s = session.request.session_id, time.monotonic()
+        start_s = time.monotonic()
         try:
-            answer = session.apply(frame, poisoned=self._poison.get(name) == frame.seq)
-            assert session.stream is not None
-            self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
-            session.settle()
-        except SequenceGapError:
+            answer = session.apply(frame, poisoned=self._poison.get(session.request.session_id) == frame.seq)
+        except (SequenceGapError, StoreError):
             raise
+        except Exception:
+            self._frame_failed(session, frame)
+            return
+        assert session.stream is not None
+        self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
+        self._answered.add(Answered(session, frame, answer, time.monotonic() - start_s))
+
+    def _settle(self, answered: Answered | None) -> None:
+        """What an answered frame means for the map."""
+        if answered is None:
+            return
+        session, frame, start_s = answered.session, answered.frame, time.monotonic()
+        name = session.request.session_id
+        try:
+            session.settle()
         except StoreError as error:
-            self._store_failed(session, error)
-            if not session.settled:  # it failed half way through the pipeline, looking for a cloud
-                self.sessions.drop(name)
+            self._endings.store_failed(session, error)
             return
         except Exception:
-            # The pipeline's state cannot be trusted any more. The robot resumes from the store and sends the
-            # frame again; if it fails a second time it is rejected.
-            _log.exception("frame failed", extra=fields(session_id=name, seq=frame.seq, trace_id=_trace(frame)))
-            self.tally.count("frames", "failed")
-            self._poison[name] = frame.seq
-            self.sessions.abort(session, "INTERNAL", f"frame {frame.seq} failed: see the service's log")
-            self.sessions.drop(name)
+            self._frame_failed(session, frame)
             return
         if self._poison.get(name) == frame.seq:
             del self._poison[name]
-        self._note(session, frame, answer, time.monotonic() - start_s)
+        self._note(session, frame, answered.answer, answered.seconds + time.monotonic() - start_s)
+
+    def _settle_all(self) -> None:
+        while (answered := self._answered.oldest()) is not None:
+            self._settle(answered)
+
+    def _frame_failed(self, session: Session, frame: pb.Frame) -> None:
+        """The pipeline's state cannot be trusted any more.
+
+        The robot resumes from the store and sends the frame again; if it fails a second time it is rejected.
+        """
+        name = session.request.session_id
+        _log.exception("frame failed", extra=fields(session_id=name, seq=frame.seq, trace_id=_trace(frame)))
+        self.tally.count("frames", "failed")
+        self._poison[name] = frame.seq
+        self.sessions.abort(session, "INTERNAL", f"frame {frame.seq} failed: see the service's log")
+        self.sessions.drop(name)
 
     def _note(self, session: Session, frame: pb.Frame, answer: pb.Odometry, seconds: float) -> None:
         """Each frame at debug; one that is not mapped, or takes long, for whoever looks after the service."""
@@ -198,59 +227,59 @@ class SessionHost:
     def _bye(self, session: Session, bye: pb.Bye) -> None:
         if bye.last_seq != session.log.applied_seq:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
+        self._poison.pop(session.request.session_id, None)
         session.finish()
-
-    def _say_finished(self, session: Session) -> None:
-        """Once the last commit is durable; a store that cannot be read just now is asked again."""
-        try:
-            row = Catalog(self.store).session(session.request.session_id)
-        except StoreError:
-            return
-        if row is None:
-            raise FencedError("the session was deleted")
-        if session.stream is not None:
-            finished = pb.Finished(
-                mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
-            )
-            self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
-        self._poison.pop(row.session_id, None)
-        _log.info("session finished", extra=fields(session_id=row.session_id, mapped=row.frames))
-        self.sessions.drop(session.request.session_id)
 
     # -- care ---------------------------------------------------------------------------------------------------
 
-    def look_after(self) -> None:
-        """After every message and while idle: commits and what became of them, sessions nobody came back to."""
+    def care(self) -> bool:
+        """One piece of what can wait until no robot waits for an answer. False: there is nothing left."""
+        answered = self._answered.oldest()
+        if answered is not None:
+            self._settle(answered)
+            return True
         for session in self.sessions.all():
-            try:
-                session.log.collect()
-                if session.finishing:
-                    if not session.log.waiting:
-                        self._say_finished(session)
-                    continue
-                if session.leaving and not session.log.waiting:
-                    self._handed(session)
-                if session.commit_due:
-                    session.commit()
-                while session.held and session.stream is not None and not session.log.full:
-                    self._take(session, session.held.popleft())
-            except FencedError as error:
-                self._fenced(session, error)
-            except StoreError as error:
-                self._store_failed(session, error)
-            except Exception:  # this session's error must not end the others'
-                _log.exception("commit failed", extra=fields(session_id=session.request.session_id))
-                self.sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
-                self.sessions.drop(session.request.session_id)
+            if session.commit_due and not session.finishing:
+                self._guarded(session, session.commit)
+                return True
+        return False
+
+    def look_after(self) -> None:
+        """While there is time: what became of commits, sessions nobody came back to."""
+        for session in self.sessions.all():
+            self._guarded(session, partial(self._look_after, session))
         self._keep_quotas()
         for session in self._taken_over.of(self.sessions.all(), self._committer.run):
             self.sessions.drop(session.request.session_id)
         self.sessions.evict()
 
+    def _look_after(self, session: Session) -> None:
+        session.log.collect()
+        if session.finishing:
+            if not session.log.waiting:
+                self._endings.finished(session)
+            return
+        if session.leaving and not session.log.waiting:
+            self._endings.handed(session)
+        while session.held and session.stream is not None and not session.log.full:
+            self._take(session, session.held.popleft())
+
+    def _guarded(self, session: Session, action: Callable[[], None]) -> None:
+        """This session's error must not end the others'."""
+        try:
+            action()
+        except FencedError as error:
+            self._endings.fenced(session, error)
+        except StoreError as error:
+            self._endings.store_failed(session, error)
+        except Exception:
+            self._endings.not_committed(session)
+
     def _keep_quotas(self) -> None:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""
         if not self._quotas.looked(self._committer.run):
             return
+        self._settle_all()
         for session in self.sessions.all():
             if session.stream is None or session.finishing:
                 continue
@@ -260,20 +289,7 @@ class SessionHost:
                 session.commit()
                 stream = session.stream
                 self.sessions.detach(stream)
-                self._refuse(stream, session.request.session_id, refusal.message)
-
-    def _fenced(self, session: Session, error: Exception) -> None:
-        self.tally.count("fenced")
-        _log.warning("fenced", extra=fields(session_id=session.request.session_id, detail=str(error)))
-        self.sessions.abort(session, "ABORTED", f"fenced: {error}")
-        self.sessions.drop(session.request.session_id)
-
-    def _store_failed(self, session: Session, error: Exception) -> None:
-        """It could not be read: the robot comes again. Only a session with a commit that is lost is let go."""
-        _log.error("store failed", extra=fields(session_id=session.request.session_id, detail=str(error)))
-        self.sessions.abort(session, "UNAVAILABLE", "the store does not answer")
-        if session.log.broken:
-            self.sessions.drop(session.request.session_id)
+                self._endings.refused(stream, session.request.session_id, refusal.message)
 
     # -- handing over -------------------------------------------------------------------------------------------
 
@@ -284,14 +300,9 @@ class SessionHost:
             session.commit()
             session.leaving = True
 
-    def _handed(self, session: Session) -> None:
-        """Everything is durable: what the robot still sends on this stream is for the next replica."""
-        if session.stream is not None:
-            self._send(Handed(session.stream, session.log.durable_seq))
-            self.sessions.detach(session.stream)
-
     def drain(self) -> None:
         """All sessions: the commits are under way together, each robot goes as soon as its own is durable."""
+        self._settle_all()
         self._committer.give_up_after(self.config.commit.drain_s)
         sessions = sorted(self.sessions.all(), key=lambda session: session.stream is None)
         for session in sessions:
@@ -300,8 +311,8 @@ class SessionHost:
             try:
                 session.log.flush(self.config.commit.drain_s + FLUSH_S)
                 if session.finishing:
-                    self._say_finished(session)
-                self._handed(session)
+                    self._endings.finished(session)
+                self._endings.handed(session)
             except (FencedError, StoreError) as error:
                 name = session.request.session_id
                 _log.error("not committed at drain", extra=fields(session_id=name, detail=str(error)))

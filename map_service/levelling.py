@@ -14,11 +14,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from map_service.settings import LevelSettings
+from splitslam.features import Motion
+
+if TYPE_CHECKING:
+    from map_service.graph import PoseGraph
 
 Array = NDArray[np.float64]
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -54,6 +59,28 @@ class Leveller:
         An IMU that is askew has been so there too; what it says otherwise on the move is not the map's tilt.
         """
         self._stood = (gravity_lidar / np.linalg.norm(gravity_lidar), R_map_lidar)
+
+    def begin(self, motion: Motion, R_map_lidar: Array) -> float:
+        """The first keyframe, its rotation (3, 3) and what the edge says of it; the prior's sigma of its tilt, rad.
+
+        A robot that stood there is level but for its IMU's mounting, which is not GNSS's to correct.
+        """
+        s, sigma_rad = self.settings, motion.gravity_sigma_rad
+        if sigma_rad > s.stood_rad:
+            return sigma_rad
+        self.stood(motion.gravity_lidar, R_map_lidar)
+        return min(sigma_rad, s.stood_prior_rad)
+
+    def level(self, motion: Motion, keyframe: int, graph: PoseGraph) -> bool:
+        """The newest keyframe: where the map is too far from level, a factor turns it by a step."""
+        if motion.velocity_known:
+            self.look(keyframe, motion.gravity_lidar, motion.gravity_sigma_rad)
+        tilt = self.tilt(graph.poses)
+        if tilt is None:
+            return False
+        sigma_rad = self.factor_sigma_rad(tilt, graph.tilt_sigma_rad(tilt.keyframe))
+        graph.add_gravity(tilt.keyframe, tilt.down_lidar, sigma_rad)
+        return True
 
     def look(self, keyframe: int, gravity_lidar: Array, sigma_rad: float) -> None:
         """A keyframe with its direction of gravity (3,), frame `lidar`, and the doubt of it."""

@@ -131,8 +131,8 @@ def dump(pipeline: MapPipeline) -> bytes:
             "found": pipeline.uncertainty.found,
             "reference": pipeline.ground.reference,
             "slip": pipeline.uncertainty.drift.slip.tolist(),
-            "T_map_local": pipeline.T_map_local.tolist(),
-            "T_map_odom": pipeline.T_map_odom.tolist(),
+            "T_map_local": pipeline.map_frame.T_map_local.tolist(),
+            "T_map_odom": pipeline.map_frame.T_map_odom.tolist(),
             "gnss": None if pipeline.gnss is None else pipeline.gnss.dump(),
             "leveller": pipeline.leveller.dump(),
             "loops": pipeline.stats.loops,
@@ -156,9 +156,9 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     pipeline.graph = PoseGraph.restore(pipeline.settings.graph, list(snapshot.factors), poses)
     pipeline.uncertainty.drift = MapDrift(pipeline.graph.drifts)
     pipeline.uncertainty.drift.slip = np.array(data.get("slip", np.zeros((6, 6))))
-    pipeline.T_map_local = np.array(data["T_map_local"])
-    pipeline.T_map_odom = np.array(data["T_map_odom"])
-    back = se3.inv(pipeline.T_map_local)
+    pipeline.map_frame.T_map_local = np.array(data["T_map_local"])
+    pipeline.map_frame.T_map_odom = np.array(data["T_map_odom"])
+    back = se3.inv(pipeline.map_frame.T_map_local)
     pipeline.keyframes = Keyframes(snapshot.fetch_clouds)
     for record in snapshot.keyframes:
         cloud = None if record.cloud is None else Cloud.decoded(record.cloud)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from map_service import persistence
 from map_service.closing import LoopCloser
-from map_service.clouds import CloudsAwayError, Fetch
+from map_service.clouds import Fetch
 from map_service.fixes import FixPlacer, Passage
 from map_service.gnss import GnssGate
 from map_service.graph import PoseGraph
@@ -26,7 +26,8 @@ from map_service.keyframes import Keyframes
 from map_service.levelling import Leveller
 from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
-from map_service.pipeline_statistics import Moment, PipelineStatistics, effort, outcomes
+from map_service.map_frame import MapFrame
+from map_service.pipeline_statistics import Moment, PipelineStatistics, effort, outcomes, report
 from map_service.settings import PipelineSettings
 from map_service.surroundings import Surroundings
 from map_service.tracker import Track, Tracker
@@ -75,9 +76,8 @@ class MapPipeline:
         self.closer = None if "loops" in disable else LoopCloser(settings.loops, verifier)
         self.uncertainty = Uncertainty(settings, self.graph.drifts)
         self.ground = MappedGround(settings.ground)
-        self.T_map_local = np.eye(4)
-        self.T_map_odom = np.eye(4)
         self.surroundings = Surroundings(settings.tracker.local_map)
+        self.map_frame = MapFrame(settings, self.surroundings)
         self._correction: CorrectionRecord | None = None  # that the next answer tells
         self._open: _Open | None = None
         self.frames: list[FrameRecord] = []  # since the start or the restart, but for what the store has
@@ -105,7 +105,7 @@ class MapPipeline:
         if track.T_found_carried is not None:
             self._correction = self._found(track, track.T_found_carried)
         keyframe = track.keyframe and not self._on_mapped_ground(frame, track)
-        passage = Passage(before, track, frame.stamp_ns, self.T_map_local, self.T_map_odom)
+        passage = Passage(before, track, frame.stamp_ns, self.map_frame.T_map_local, self.map_frame.T_map_odom)
         answer = self._answer(frame, track, keyframe, started, registered)
         stages = started, registered, (time.perf_counter(), time.thread_time())
         self._open = _Open(frame, fixes, passage, answer, stages)
@@ -132,9 +132,10 @@ class MapPipeline:
         cause = self._apply_loops(frame.seq) or cause
         if cause:
             self._correction = self._correct(cause)
+        self.map_frame.go_on(self.tracker, self.keyframes, self.graph.poses)
         state, reference = self.tracker.state, self.ground.reference
         assert state is not None
-        T_map_lidar = self.T_map_local @ state.T_local_lidar
+        T_map_lidar = self.map_frame.T_map_local @ state.T_local_lidar
         self.frames.append(self.log.frame(answer, T_map_lidar, reference, self.graph.poses[reference]))
         self.mapped += 1
         self.surroundings.follow(state.T_local_lidar[:3, 3], self.tracker.local_map, self.keyframes, self._corrected)
@@ -142,7 +143,7 @@ class MapPipeline:
 
     def _corrected(self) -> Array:
         """(n, 4, 4): the keyframes in `local`, where the graph has them."""
-        return se3.inv(self.T_map_local) @ self.graph.poses.matrices
+        return self.map_frame.poses_local(self.graph.poses)
 
     # --- graph ------------------------------------------------------------------------------------------------
 
@@ -159,14 +160,10 @@ class MapPipeline:
         return True
 
     def _add_keyframe(self, frame: FeatureFrame, track: Track) -> None:
-        T_map_lidar = self.T_map_local @ track.T_local_lidar
+        T_map_lidar = self.map_frame.T_map_local @ track.T_local_lidar
         index, follows = len(self.keyframes), self.ground.reference
         if track.registration is None:
-            # a robot that stood is level but for its IMU's mounting, which is not GNSS's to correct
-            sigma, s = frame.motion.gravity_sigma_rad, self.settings.level
-            if stood := sigma <= s.stood_rad:
-                self.leveller.stood(frame.motion.gravity_lidar, T_map_lidar[:3, :3])
-            self.graph.add_first(T_map_lidar, min(sigma, s.stood_prior_rad) if stood else sigma)
+            self.graph.add_first(T_map_lidar, self.leveller.begin(frame.motion, T_map_lidar[:3, :3]))
         else:
             motion = se3.inv(self.keyframes.T_local(follows)) @ track.T_local_lidar
             u, s = self.uncertainty, self.settings
@@ -180,6 +177,7 @@ class MapPipeline:
         self.ground.reference = index
         added = self.keyframes[index]
         self.tracker.insert(index, track.T_local_lidar, added.cloud.corners_lidar, added.cloud.surfs_lidar)
+        self.map_frame.added(index, track.T_local_lidar)
         self.graph.optimise(corrected=False)
         self.log.keyframe(added, T_map_lidar)
         if self.closer is not None:
@@ -190,18 +188,17 @@ class MapPipeline:
 
     def _found(self, track: Track, T_found_carried: Array) -> CorrectionRecord:
         """The robot stands elsewhere than it was carried: `odom` goes on as if nothing were, the jump is `map`'s."""
-        jump = self.T_map_local @ T_found_carried @ se3.inv(self.T_map_local)
-        self.T_map_odom = se3.orthonormalised(jump @ self.T_map_odom)
+        self.map_frame.jump(T_found_carried)
         self.uncertainty.found = True
         self._place_again(track)
         moved = se3.inv(track.T_local_lidar) @ T_found_carried @ track.T_local_lidar
-        correction = CorrectionRecord(Cause.RELOCALISE, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
+        correction = CorrectionRecord.of(Cause.RELOCALISE, moved)
         self.stats.correction(correction)
         return correction
 
     def _place_again(self, track: Track) -> None:
         """The scans that were carried while the robot was lost, as the map has them now; their answers are given."""
-        T_keyframe_local = se3.inv(self.graph.poses[self.ground.reference]) @ self.T_map_local
+        T_keyframe_local = se3.inv(self.graph.poses[self.ground.reference]) @ self.map_frame.T_map_local
         again = {scan.seq: T_keyframe_local @ scan.T_local_lidar for scan in track.placed}
         self.log.place_again(again)
         for i in range(len(self.frames) - 1, -1, -1):
@@ -211,13 +208,8 @@ class MapPipeline:
 
     def _level(self, frame: FeatureFrame) -> Cause | None:
         """A step towards level, when `map` is not; the cause is `registration`, whose tilt has drifted or began so."""
-        if frame.motion.velocity_known:
-            self.leveller.look(len(self.keyframes) - 1, frame.motion.gravity_lidar, frame.motion.gravity_sigma_rad)
-        tilt = self.leveller.tilt(self.graph.poses)
-        if tilt is None:
+        if not self.leveller.level(frame.motion, len(self.keyframes) - 1, self.graph):
             return None
-        sigma_rad = self.leveller.factor_sigma_rad(tilt, self.graph.tilt_sigma_rad(tilt.keyframe))
-        self.graph.add_gravity(tilt.keyframe, tilt.down_lidar, sigma_rad)
         self.stats.gravity_factors += 1
         return Cause.REGISTRATION
 
@@ -241,44 +233,14 @@ class MapPipeline:
     def _correct(self, cause: Cause) -> CorrectionRecord | None:
         """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
         self.graph.optimise(corrected=True, far=cause != Cause.GNSS)
-        here = self.ground.reference
-        T_before = self.T_map_local @ self.keyframes.T_local(here)
-        delta = self.graph.poses[here] @ se3.inv(T_before)
-        T_map_local = se3.orthonormalised(delta @ self.T_map_local)
-        moved = se3.inv(T_before) @ self.graph.poses[here]
-        self.T_map_local = T_map_local
-        self.T_map_odom = se3.orthonormalised(delta @ self.T_map_odom)
-        s = self.settings.graph
-        if self._bent():
-            self._rebuild()
-        correction = CorrectionRecord(cause, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
+        poses, s = self.graph.poses, self.settings.graph
+        moved = self.map_frame.correct(self.ground.reference, self.keyframes, poses)
+        self.map_frame.renew_if_bent(self.tracker, self.keyframes, poses)
+        correction = CorrectionRecord.of(cause, moved)
         if correction.translation_m < s.report_m and correction.rotation_rad < s.report_rad:
             return None
         self.stats.correction(correction)
         return correction
-
-    def _bent(self) -> bool:
-        """Do the corrected keyframes no longer lie where the local map has their points?"""
-        s, inserted = self.settings.graph, sorted(self.tracker.local_map.keyframes)
-        then, now = self.keyframes.poses_local()[inserted], self._corrected()[inserted]
-        off_m = np.linalg.norm(now[:, :3, 3] - then[:, :3, 3], axis=1)
-        cosine = (np.einsum("nij,nij->n", now[:, :3, :3], then[:, :3, :3]) - 1.0) / 2.0
-        return bool((off_m > s.rebuild_m).any() or (cosine < np.cos(s.rebuild_rad)).any())
-
-    def _rebuild(self) -> None:
-        """The local map anew, from the corrected keyframes around the robot; `local` becomes `map`."""
-        state, radius_m = self.tracker.state, self.settings.tracker.local_map.radius_m
-        assert state is not None
-        here_m = (self.T_map_local @ state.T_local_lidar)[:3, 3]
-        near = np.flatnonzero(np.linalg.norm(self.graph.poses.positions_m - here_m, axis=1) < radius_m)
-        try:
-            self.keyframes.clouds.get(near.tolist())
-        except CloudsAwayError:  # the map that is there goes on until the store answers: this is asked for again
-            return
-        self.tracker.move(self.T_map_local)
-        self.T_map_local = np.eye(4)
-        self.keyframes.move(self.graph.poses)
-        self.fill_local_map()
 
     def fill_local_map(self) -> None:
         """Every keyframe within the radius of the robot. Raises CloudsAwayError."""
@@ -296,8 +258,8 @@ class MapPipeline:
         return MapAnswer(
             seq=frame.seq,
             stamp_ns=frame.stamp_ns,
-            T_map_lidar=self.T_map_local @ track.T_local_lidar,
-            T_map_odom=self.T_map_odom,
+            T_map_lidar=self.map_frame.T_map_local @ track.T_local_lidar,
+            T_map_odom=self.map_frame.T_map_odom,
             covariance=self.uncertainty.pose(track),
             state=track.state,
             degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
@@ -323,12 +285,7 @@ class MapPipeline:
     def statistics(self) -> dict:
         """Counts and times for reports and metrics (JSON-ready)."""
         self.settle()
-        rejected = {} if self.gnss is None else dict(self.gnss.rejected)
-        loops_rejected = {} if self.closer is None else dict(self.closer.rejected)
-        report = self.stats.report(self.mapped, len(self.keyframes), rejected, loops_rejected)
-        if self.closer is not None:
-            report["loops_tried"], report["loops_waiting"] = dict(self.closer.tried), len(self.closer.gate.waiting)
-        return {**report, "loop_keyframes": [list(pair) for pair in self.graph.loops]}
+        return report(self)
 
     # --- persistence ------------------------------------------------------------------------------------------
 

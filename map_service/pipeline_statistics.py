@@ -90,3 +90,13 @@ def outcomes(pipeline: MapPipeline) -> Counter[tuple[str, str]]:
     if pipeline.gnss is not None:
         counts.update({("gnss", reason): n for reason, n in pipeline.gnss.rejected.items()})
     return counts
+
+
+def report(pipeline: MapPipeline) -> dict:
+    """Counts and times so far (JSON-ready)."""
+    gnss_rejected = {} if pipeline.gnss is None else dict(pipeline.gnss.rejected)
+    loops_rejected = {} if pipeline.closer is None else dict(pipeline.closer.rejected)
+    said = pipeline.stats.report(pipeline.mapped, len(pipeline.keyframes), gnss_rejected, loops_rejected)
+    if pipeline.closer is not None:
+        said["loops_tried"], said["loops_waiting"] = dict(pipeline.closer.tried), len(pipeline.closer.gate.waiting)
+    return {**said, "loop_keyframes": [list(pair) for pair in pipeline.graph.loops]}

@@ -104,6 +104,7 @@ class GraphSettings(Model):
     kidnap_m: float = 0.3
     rebuild_m: float = 0.02
     rebuild_rad: float = 0.005
+    rebuild_points: int = Field(default=100_000, description="that go into a map that is made anew after one scan")
     report_m: float = 0.001
     report_rad: float = 0.0002
 

@@ -37,6 +37,10 @@ class Surroundings:
         local_map.clear()
         for i, cloud in zip(near, clouds, strict=True):
             local_map.insert(i, keyframes.T_local(i), cloud.corners_lidar, cloud.surfs_lidar)
+        self.filled(centre_m, keyframes)
+
+    def filled(self, centre_m: Array, keyframes: Keyframes) -> None:
+        """The map holds the keyframes within the radius of a point (3,) in `local`."""
         self._looked_at_m = centre_m.copy()
         self._coming.clear()
         self._going.clear()

@@ -9,6 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from splitslam import se3
+
 
 class State(IntEnum):
     """Same numbers as splitslam.v1.TrackingState."""
@@ -37,6 +39,11 @@ class CorrectionRecord:
     cause: Cause
     translation_m: float
     rotation_rad: float
+
+    @classmethod
+    def of(cls, cause: Cause, moved: NDArray[np.float64]) -> CorrectionRecord:
+        """moved: (4, 4), by which the robot's pose has jumped, in its own frame."""
+        return cls(cause, float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
 
 
 @dataclass(frozen=True, slots=True)

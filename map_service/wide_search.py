@@ -117,7 +117,7 @@ class WideSearch:
             (local_map.corners, local_map.surfs), (frame.corners, frame.surfs), at_most, strict=True
         ):
             points, scores, v = _thinned(features.points_lidar, count), np.zeros(len(poses)), voxels.settings
-            kernels.closeness(voxels.keys, voxels.geometry, points, poses, v.voxel_m, v.levels, gate_m, scores)
+            kernels.closeness(voxels.slots, voxels.geometry, points, poses, v.voxel_m, v.levels, gate_m, scores)
             means.append(scores / max(len(points), 1))
         return means
 

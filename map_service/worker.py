@@ -25,6 +25,7 @@ from splitslam.logs import configure_logs, fields
 
 BEAT_S = 0.5
 _IDLE_S, _COMMITTING_S = 0.25, 0.02
+_LOOK_AFTER_S = 0.02  # however much there is to do
 
 _log = logging.getLogger(__name__)
 
@@ -74,19 +75,27 @@ class Worker:
         for target in (self._read, self._beat):
             threading.Thread(target=target, daemon=True, name=target.__name__).start()
         message: Any = None
+        busy, looked_s = False, 0.0
         while not isinstance(message, DrainAll):
-            message = self._next()
+            message = self._next(wait=not busy)
             self._job_since_s = time.monotonic()
+            busy = True
             if message is not None:
                 self._host.handle(message)
-            self._host.look_after()
+            elif not self._host.care():
+                busy = False
+            if not busy or time.monotonic() - looked_s > _LOOK_AFTER_S:
+                self._host.look_after()
+                looked_s = time.monotonic()
             self._job_since_s = None
         self._host.drain()
         self._end.send(self._beat_now())
         self._end.send(Drained(self._host.sessions.durable()))
 
-    def _next(self) -> Any | None:
+    def _next(self, *, wait: bool) -> Any | None:
         try:
+            if not wait:
+                return self._queue.get_nowait()
             return self._queue.get(timeout=_COMMITTING_S if self._host.sessions.committing else _IDLE_S)
         except queue.Empty:
             return None

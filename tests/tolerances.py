@@ -72,6 +72,8 @@ OUTAGE_CAUGHT_UP_S = 15.0
 OUTAGE_ATE_RATIO, OUTAGE_ATE_M = 1.10, 0.002
 # Where a robot without an IMU thinks it is: predictions from scan to scan (seen: 26 mm; 46 mm while it is connected).
 OUTAGE_NO_IMU_ATE_M = 0.05
+# What the map of an outage takes when it begins, in a room; 52 MB when all that it has room for was taken at once.
+OUTAGE_MAP_BYTES = 4e6
 # And of answers 300 ms late.
 DELAY_300_MS_RATIO = 1.5
 # Drift along the way with wheels that are off by 1 % and no LiDAR, share of the way: no worse than the wheels' own.
@@ -140,6 +142,7 @@ METRICS_CPU_S = 200e-6
 # Growth by area (issue: within 10 %), between laps of the same ground. Answers there, and after 300 m of new ground, m.
 GROWTH_BY_TIME = 1.1
 SAME_GROUND_OFF_M = 0.05
+GNSS_ON_OLD_GROUND_M, GNSS_ON_OLD_GROUND_RAD = 0.25, 0.02
 NEW_GROUND_OFF_M = 0.3
 
 # The Imu node's filter against GTSAM's graph of all scans since the start: of the doubt both have, and of biases that

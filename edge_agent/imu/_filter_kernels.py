@@ -8,6 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from splitslam._motion_kernels import rotation_from_vector, vector_of
+from splitslam._se3_kernels import adjoint, exp, inverse, multiply
+
 FASTMATH = {"contract", "arcp", "nsz"}
 
 
@@ -84,3 +87,58 @@ def measure(H, r, variance, P, change):
         for i in range(n):
             for j in range(n):
                 P[i, j] -= gain[i] * covariance[j]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def move(poses, rest, change, moved_poses, moved_rest):
+    """A state with an error of change (N,) taken out.
+
+    poses (2, 4, 4): T_odom_imu, T_odom_server. rest (10,): velocity, bias, scale of the wheels.
+    """
+    R, step = np.empty((3, 3)), np.empty((4, 4))
+    rotation_from_vector(change[0], change[1], change[2], R)
+    for r in range(3):
+        for c in range(3):
+            moved_poses[0, r, c] = R[r, 0] * poses[0, 0, c] + R[r, 1] * poses[0, 1, c] + R[r, 2] * poses[0, 2, c]
+        moved_poses[0, r, 3] = poses[0, r, 3] + change[3 + r]
+    moved_poses[0, 3] = poses[0, 3]
+    for k in range(9):
+        moved_rest[k] = rest[k] + change[6 + k]
+    moved_rest[9] = rest[9] + (change[21] if len(change) > 21 else 0.0)
+    exp(change[15:21], step)
+    multiply(poses[1], step, moved_poses[1])
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def pose_residual(poses, T_server_imu, whiten, r, H):
+    """r (6,), H (6, N): what is left of inv(T_server_imu) inv(T_odom_server) T_odom_imu, and how it goes with errors.
+
+    Rotation vector and translation, whitened by whiten (6, 6). poses (2, 4, 4): see `move`.
+    """
+    back, T_imu_server, left = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    carry, raw, D = np.empty((6, 6)), np.empty(6), np.zeros((6, 12))
+    inverse(poses[0], back)
+    multiply(back, poses[1], T_imu_server)
+    multiply(T_imu_server, T_server_imu, back)
+    inverse(back, left)
+    vector_of(left, raw)
+    adjoint(T_imu_server, carry)
+    for i in range(3):
+        raw[3 + i] = left[i, 3]
+        for j in range(3):
+            D[i, j] = poses[0, j, i]  # errors of rotation and position in `odom` -> right tangent of T_odom_imu
+            D[i, 6 + j] = -carry[i, j]
+            turned = 0.0
+            for k in range(3):
+                D[3 + i, 3 + j] += left[i, k] * poses[0, j, k]
+                D[3 + i, 6 + j] -= left[i, k] * carry[3 + k, j]
+                turned -= left[i, k] * carry[3 + k, 3 + j]
+            D[3 + i, 9 + j] = turned
+    H[:] = 0.0
+    for i in range(6):
+        r[i] = 0.0
+        for k in range(6):
+            r[i] += whiten[i, k] * raw[k]
+            for j in range(6):
+                H[i, j] += whiten[i, k] * D[k, j]
+                H[i, 15 + j] += whiten[i, k] * D[k, 6 + j]

@@ -62,32 +62,35 @@ def integrate(stamps_ns, gyro, accel, bias, gravity_mps2, states):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def window(own_ns, values, span, stamps_ns, gyro, accel):
-    """Fills stamps_ns (M,), gyro, accel (M, 3): own samples inside a span, its ends interpolated, or held outside.
+def window(own_ns, values, first, marks_ns, stamps_ns, gyro, accel):
+    """Samples at marks_ns, rising, and at own stamps between the first and the last of them; returns how many.
 
-    own_ns (N,), values (N, 6), gyro first. span: (index of the first sample inside, start, end), ns.
+    own_ns (N,), values (N, 6), gyro first; first: index of the first own sample after marks_ns[0]. Fills stamps_ns
+    (M,), gyro, accel (M, 3). At marks between two own samples they are interpolated, beyond the own ones held.
     """
-    first, start_ns, end_ns = span
-    m = len(stamps_ns)
-    for k in range(m):
-        t = start_ns if k == 0 else end_ns
-        after = first
-        if 0 < k < m - 1:
-            after = first + k - 1
-            t = own_ns[after]
-        else:
-            while after < len(own_ns) and own_ns[after] < t:
-                after += 1
-            if k == 0 and after > 0 and own_ns[after - 1] == t:
-                after -= 1
-        stamps_ns[k] = t
+    count, mark, last = 0, 0, len(marks_ns) - 1
+    t, after = marks_ns[0], first
+    if after > 0 and own_ns[after - 1] == t:
+        after -= 1
+    while True:
+        while after < len(own_ns) and own_ns[after] < t:
+            after += 1
         i = min(after, len(own_ns) - 1)
         j, share = max(after - 1, 0), 0.0  # of the sample before
         if own_ns[i] > t and i > j:
             share = (own_ns[i] - t) / (own_ns[i] - own_ns[j])
+        stamps_ns[count] = t
         for c in range(3):
-            gyro[k, c] = (1.0 - share) * values[i, c] + share * values[j, c]
-            accel[k, c] = (1.0 - share) * values[i, 3 + c] + share * values[j, 3 + c]
+            gyro[count, c] = (1.0 - share) * values[i, c] + share * values[j, c]
+            accel[count, c] = (1.0 - share) * values[i, 3 + c] + share * values[j, 3 + c]
+        count += 1
+        while mark <= last and marks_ns[mark] <= t:
+            mark += 1
+        if mark > last:
+            return count
+        while after < len(own_ns) and own_ns[after] <= t:
+            after += 1
+        t = marks_ns[mark] if after == len(own_ns) else min(own_ns[after], marks_ns[mark])
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -263,3 +266,35 @@ def knots(poses, rotation, translation):
         for c in range(3):
             rotation[k, c] = scale * q[0, c]
             translation[k, c] = D[c, 3]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def lead(stamps_ns, states, limits, T_imu_lidar, here, worst, poses):
+    """poses (M, 12) row-major 3x4 of T_odom_lidar that follow states (M, 15), see `follow`.
+
+    here (12,): T_odom_imu as it was given out for the first state; becomes that of the last. T_imu_lidar (4, 4).
+    """
+    wanted, output, lever_m = np.empty((len(states), 12)), np.empty((len(states), 12)), np.empty(3)
+    lever_m[0], lever_m[1], lever_m[2] = T_imu_lidar[0, 3], T_imu_lidar[1, 3], T_imu_lidar[2, 3]
+    place(states, wanted)
+    output[0] = here
+    follow(stamps_ns, wanted, limits, lever_m, output, worst)
+    emit(output, T_imu_lidar, poses)
+    here[:] = output[len(states) - 1]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def scan_motion(states, previous, here, T_imu_lidar, T_prev_lidar, poses):
+    """poses (M - here, 12) row-major 3x4 of T_odom_lidar of states (M, 15) from row `here` on.
+
+    T_prev_lidar (4, 4), of which the last row stays: from row `previous` to row `here`.
+    """
+    imu, before, D = np.empty((len(states) - here, 12)), np.empty((2, 1, 12)), np.empty((3, 4))
+    place(states[here:], imu)
+    emit(imu, T_imu_lidar, poses)
+    place(states[previous : previous + 1], before[0])
+    emit(before[0], T_imu_lidar, before[1])
+    increment(before[1, 0], poses[0], D)
+    for r in range(3):
+        for c in range(4):
+            T_prev_lidar[r, c] = D[r, c]

@@ -26,25 +26,6 @@ class ImuWindow:
     gyro_radps: NDArray[np.float64]
     accel_mps2: NDArray[np.float64]
 
-    def at(self, stamps_ns: NDArray[np.int64]) -> ImuWindow:
-        """The same window at other stamps (within it), linearly interpolated."""
-        own = (self.stamps_ns - self.stamps_ns[0]).astype(np.float64)
-        new = (stamps_ns - self.stamps_ns[0]).astype(np.float64)
-        gyro = np.stack([np.interp(new, own, self.gyro_radps[:, c]) for c in range(3)], axis=1)
-        accel = np.stack([np.interp(new, own, self.accel_mps2[:, c]) for c in range(3)], axis=1)
-        return ImuWindow(stamps_ns, gyro, accel)
-
-    def subdivided(self, max_step_ns: int) -> ImuWindow:
-        """With points added so that no step is longer than `max_step_ns`."""
-        steps = np.diff(self.stamps_ns)
-        if not len(steps) or steps.max() <= max_step_ns:
-            return self
-        parts = [
-            np.linspace(a, b, int(-(-(b - a) // max_step_ns)), endpoint=False).astype(np.int64)
-            for a, b in zip(self.stamps_ns[:-1], self.stamps_ns[1:], strict=True)
-        ]
-        return self.at(np.concatenate([*parts, self.stamps_ns[-1:]]))
-
 
 class ImuBuffer:
     """Keeps samples from `drop_before` on; time only goes forward. What it hands out of itself is overwritten later."""
@@ -104,15 +85,16 @@ class ImuBuffer:
         stamps = self._stamps[self._first : self._end]
         self._first += max(int(stamps.searchsorted(stamp_ns, side="right")) - 1, 0)
 
-    def window(self, start_ns: int, end_ns: int) -> ImuWindow:
-        """All samples strictly inside (start, end) with interpolated ends."""
+    def window(self, start_ns: int, end_ns: int, *also_ns: int) -> ImuWindow:
+        """All samples strictly inside (start, end), and interpolated ones at both ends and at also_ns, rising."""
         own_ns, values = self._stamps[self._first : self._end], self._values[self._first : self._end]
         first = int(own_ns.searchsorted(start_ns, side="right"))
         last = max(int(own_ns.searchsorted(end_ns, side="left")), first)
-        n = last - first + 2
-        stamps, gyro, accel = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3))
-        kernels.window(own_ns, values, (first, start_ns, end_ns), stamps, gyro, accel)
-        return ImuWindow(stamps, gyro, accel)
+        marks_ns = np.array([start_ns, *also_ns, end_ns])
+        most = last - first + len(marks_ns)
+        stamps, gyro, accel = np.empty(most, np.int64), np.empty((most, 3)), np.empty((most, 3))
+        n = kernels.window(own_ns, values, first, marks_ns, stamps, gyro, accel)
+        return ImuWindow(stamps[:n], gyro[:n], accel[:n])
 
     def noise_densities(self) -> tuple[float, float]:
         """(gyro rad/s/sqrt(Hz), accel m/s^2/sqrt(Hz)) seen in the samples themselves; cautious while unknown.

@@ -16,7 +16,7 @@ filtered again from a better start when they say that it was another one (an ite
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,24 +58,39 @@ class _Answer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Mean:
-    """What the filter takes for the state; see NavigationState. T_odom_server: (4, 4)."""
+    """What the filter takes for the state.
 
-    T_odom_imu: Array
-    velocity_mps: Array
-    bias: Array
-    T_odom_server: Array
-    scale: float
+    poses (2, 4, 4): T_odom_imu, T_odom_server. rest (10,): velocity, bias, scale of the wheels.
+    """
+
+    poses: Array
+    rest: Array
+
+    @classmethod
+    def of(cls, T_odom_imu: Array, velocity_mps: Array, bias: Array, T_odom_server: Array, scale: float) -> _Mean:
+        return cls(np.array([T_odom_imu, T_odom_server]), np.array([*velocity_mps, *bias, scale]))
+
+    @property
+    def T_odom_imu(self) -> Array:
+        return self.poses[0]
+
+    @property
+    def velocity_mps(self) -> Array:
+        return self.rest[:3]
+
+    @property
+    def bias(self) -> Array:
+        return self.rest[3:9]
+
+    @property
+    def scale(self) -> float:
+        return float(self.rest[9])
 
     def moved(self, change: Array) -> _Mean:
         """The state that is this one with an error of `change` (N,) taken out."""
-        R = se3.so3_exp(change[_ROTATION]) @ self.T_odom_imu[:3, :3]
-        return _Mean(
-            se3.compose(R, self.T_odom_imu[:3, 3] + change[_POSITION]),
-            self.velocity_mps + change[_VELOCITY],
-            self.bias + change[_BIAS],
-            self.T_odom_server @ se3.exp(change[_SERVER]),
-            self.scale + (float(change[_SCALE]) if len(change) > _SCALE else 0.0),
-        )
+        there = _Mean(np.empty_like(self.poses), np.empty_like(self.rest))
+        kernels.move(self.poses, self.rest, change, there.poses, there.rest)
+        return there
 
 
 class MotionFilter:
@@ -112,7 +127,7 @@ class MotionFilter:
         P[_SERVER, _SERVER] += _moved(T_server_imu, s.lidar_rotation_rad**2, s.lidar_translation_m**2)
         rows = [*range(n), *_FIRST]
         self._P = P[np.ix_(rows, rows)]
-        self._mean = _Mean(
+        self._mean = _Mean.of(
             T_odom_imu, state.velocity_mps + wrong[3:], state.bias, T_odom_imu @ se3.inv(T_server_imu), scale
         )
         self._error = np.zeros(n + len(_FIRST))  # what was thought is still as likely as it was
@@ -189,7 +204,8 @@ class MotionFilter:
         if self.wheels is not None:
             P[_SCALE, _SCALE] += WANDER_RTS**2 * seconds
         R = se3.so3_exp(se3.so3_log(states[-1, :9].reshape(3, 3)))  # again orthonormal
-        self._mean = replace(mean, T_odom_imu=se3.compose(R, states[-1, 9:12]), velocity_mps=states[-1, 12:].copy())
+        T_odom_imu = se3.compose(R, states[-1, 9:12])
+        self._mean = _Mean(np.array([T_odom_imu, mean.poses[1]]), np.concatenate([states[-1, 12:], mean.rest[3:]]))
 
     def _correct(self, residual: Callable[[_Mean], Residual]) -> None:
         """One measurement, with less weight the more it contradicts (Huber), and relinearised where it leads to.
@@ -219,13 +235,9 @@ class MotionFilter:
 
     def _pose_residual(self, mean: _Mean, T_server_imu: Array, whiten: Array) -> Residual:
         """What is left of inv(T_server_imu) inv(T_odom_server) T_odom_imu, LiDAR odometry: rotation and translation."""
-        T_imu_server = se3.inv(mean.T_odom_imu) @ mean.T_odom_server
-        left = se3.inv(T_imu_server @ T_server_imu)
-        H = np.zeros((6, len(self._P)))
-        H[:, :6] = _to_tangent(mean.T_odom_imu)
-        H[:, _SERVER] = -se3.adjoint(T_imu_server)
-        H[3:] = left[:3, :3] @ H[3:]
-        return whiten @ np.concatenate([se3.so3_log(left[:3, :3]), left[:3, 3]]), whiten @ H
+        r, H = np.empty(6), np.empty((6, len(self._P)))
+        kernels.pose_residual(mean.poses, T_server_imu, whiten, r, H)
+        return r, H
 
     def _whiten(self, unobserved: Array) -> Array:
         """(6, 6) that makes standard deviations of errors of the LiDAR's pose, right tangent."""

@@ -2,8 +2,7 @@
 
 Three clocks meet here. Samples come at IMU rate and are integrated from the last optimised state; scans ask for the
 motion they were taken in; answers of the map service come late and correct the state in the past, after which the
-samples since then are integrated again. What leaves the node never jumps: it moves as the IMU says, and closes in on
-the corrected state a little with each sample.
+samples since then are integrated again. What leaves the node never jumps (output.py).
 """
 
 from __future__ import annotations
@@ -17,22 +16,21 @@ from edge_agent.imu import _kernels as kernels
 from edge_agent.imu.buffer import ImuBuffer, ImuWindow
 from edge_agent.imu.filter import MotionFilter
 from edge_agent.imu.gaps import Gaps, carried_on
-from edge_agent.imu.history import PoseHistory
+from edge_agent.imu.levelling import MOVING_TILT_RAD, UNKNOWN_TILT_RAD, level, level_at
+from edge_agent.imu.output import ContinuousOutput, no_poses
+from edge_agent.imu.scan_motion import ScanMotion
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.state import ImuNoise, NavigationState
 from edge_agent.imu.wheel_factor import WheelVelocity
 from edge_agent.imu.wheels import WheelAid
 from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
-from splitslam.features import Knots, Motion
+from splitslam.features import Motion
 from splitslam.robot import Robot
 from splitslam.scan import ImuSamples, WheelSamples
 
 Array = NDArray[np.float64]
 INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
-_STILL_GYRO_RADPS = 0.03
-_STILL_SAMPLES = 8  # in the first scan: an IMU of 80 Hz and up can tell
-_UNKNOWN_TILT_RAD, _MOVING_TILT_RAD = 0.5, 0.1
 _LEVEL_NS = 100_000_000
 _FIRST_READING_NS = 50_000_000
 
@@ -49,11 +47,12 @@ class ImuNode:
         self._rate_imu = np.zeros(3)  # as the last two answers have it, rad/s
         self.wheels = None if robot.wheels is None else WheelAid(robot, settings)
         self.filter = MotionFilter(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
+        self.output = ContinuousOutput(settings, self.T_imu_lidar)
+        self._scan_motion = ScanMotion(settings, self.T_lidar_imu, self.T_imu_lidar)
         self.T_map_odom = np.eye(4)
         self.state = INITIALISING
         self.covariance = np.eye(6)
         self.resets = 0
-        self._worst = np.zeros(2)
         self._anchor: NavigationState | None = None
         self._started = False  # the filter has its first scan
         self._blind = False  # no sample has come: nobody knows where down is
@@ -62,11 +61,6 @@ class ImuNode:
         self._live_ns = 0
         self._live_P = np.eye(3)  # of the velocity, in `odom`
         self._live_wheel_ns = 0
-        self._output = np.eye(4)[:3].reshape(-1)  # T_odom_imu as it was given out, at _live_ns
-        self._history = PoseHistory(int(settings.history_s * 1e9))
-        limits = settings.blend_time_s, settings.blend_max_radps, settings.blend_max_mps
-        self._limits = np.array([*limits, settings.blend_step_rad, settings.blend_step_m])
-        self._lever_m = self.T_imu_lidar[:3, 3].copy()
         self._previous_scan_ns: int | None = None
         self._tilt_sigma_rad = 0.1
 
@@ -75,13 +69,13 @@ class ImuNode:
     def add_imu(self, samples: ImuSamples) -> OdomPoses:
         """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan)."""
         if len(samples) == 0:
-            return _no_poses()
+            return no_poses()
         if self._anchor is not None and self.gaps.between(self.buffer.last_ns, int(samples.stamps_ns[0])):
             self._bridge(int(samples.stamps_ns[0]) - 1, samples.gyro_radps[0])
         self.gaps.seen(samples.stamps_ns)
         self.buffer.append(samples)
         if self._anchor is None:
-            return _no_poses()
+            return no_poses()
         return self._propagate(int(samples.stamps_ns[-1]))
 
     def _bridge(self, until_ns: int, gyro_after: Array | None) -> None:
@@ -96,25 +90,17 @@ class ImuNode:
 
     def _propagate(self, end_ns: int) -> OdomPoses:
         if end_ns <= self._live_ns:
-            return _no_poses()
-        anchor = self._anchor
-        assert anchor is not None
+            return no_poses()
         window = self.buffer.window(self._live_ns, end_ns)
         states = self._integrate(window, self._live[0], self._live_wheel_ns, self._live_P)
-        wanted, output, poses = np.empty((3, len(states), 12))
-        kernels.place(states, wanted)
-        output[0] = self._output
-        kernels.follow(window.stamps_ns, wanted, self._limits, self._lever_m, output, self._worst)
-        kernels.emit(output, self.T_imu_lidar, poses)
-        self._live, self._live_ns, self._output = states[-1:].copy(), end_ns, output[-1].copy()
+        self._live, self._live_ns = states[-1:].copy(), end_ns
         self._live_wheel_ns = self._wheels_read(end_ns)
-        self._history.append(window.stamps_ns[1:], poses[1:])
-        return _odom_poses(window.stamps_ns[1:], poses[1:], states[1:, 12:])
+        return self.output.follow(window.stamps_ns, states)
 
     @property
     def jumps(self) -> dict[str, float]:
-        """Largest difference between one increment of T_odom_lidar and the IMU's own propagation over it."""
-        return {"odom_max_m": float(self._worst[0]), "odom_max_deg": float(np.degrees(self._worst[1]))}
+        """See ContinuousOutput."""
+        return self.output.jumps
 
     @property
     def wheels_report(self) -> dict[str, float | None]:
@@ -131,7 +117,7 @@ class ImuNode:
 
     def T_odom_lidar_at(self, stamp_ns: int) -> Array:
         """The pose (4, 4) that was given out for `stamp_ns`, interpolated between IMU samples."""
-        return self._history.at(stamp_ns)
+        return self.output.at(stamp_ns)
 
     def add_wheels(self, samples: WheelSamples) -> None:
         """Takes wheel odometry, newer than all before; without the robot file's `wheels` it is not asked."""
@@ -177,37 +163,26 @@ class ImuNode:
         # a scan may have been answered before the next one is asked for, but the anchor is never newer than that
         previous_ns = start_ns if self._previous_scan_ns is None else max(self._previous_scan_ns, anchor.stamp_ns)
         self._previous_scan_ns = start_ns
-        if self.wheels is not None:
-            self.wheels.drop_before(anchor.stamp_ns)
-        oldest_ns = min(anchor.stamp_ns, self._live_ns) - int(1e8)
-        self.buffer.drop_before(oldest_ns)
-        self.gaps.drop_before(oldest_ns)
-        window = self.buffer.window(anchor.stamp_ns, end_ns)
-        window = window.at(np.union1d(window.stamps_ns, [previous_ns, start_ns]))
-        stamps, gyro = window.stamps_ns, window.gyro_radps
+        self._drop_before(min(anchor.stamp_ns, self._live_ns) - int(1e8), anchor.stamp_ns)
+        window = self.buffer.window(anchor.stamp_ns, end_ns, previous_ns, start_ns)
         P = anchor.velocity_covariance.copy()
         states = self._integrate(window, _row(anchor), self._wheels_after(anchor), P)
-        first, here = np.searchsorted(stamps, [previous_ns, start_ns])
-        T_start = self._lidar_pose(states[here])
-        T_prev_lidar = se3.inv(self._lidar_pose(states[first])) @ T_start
-        R = T_start[:3, :3]
+        rows = int(window.stamps_ns.searchsorted(previous_ns)), int(window.stamps_ns.searchsorted(start_ns))
         noise = self._noise(anchor.stamp_ns, start_ns)
         if self.wheels is None:
             P += np.eye(3) * noise.accel_mps2_rthz**2 * (start_ns - anchor.stamp_ns) * 1e-9
-        covariance = self._motion_covariance((start_ns - previous_ns) * 1e-9, R.T @ P @ R, noise)
+        tilt_rad = UNKNOWN_TILT_RAD if self.gaps.overlap(previous_ns, end_ns) else anchor.tilt_sigma_rad
+        motion = self._scan_motion.of(window, states, rows, anchor.bias, P, noise, (tilt_rad, self._answers >= 2))
         if start_ns - anchor.stamp_ns > self.settings.history_s * 1e9:
-            self._go_on_from(start_ns, states[here], P)
-        lever = np.cross(gyro[here] - anchor.bias[:3], self.T_imu_lidar[:3, 3])
-        velocity = R.T @ states[here, 12:] + self.T_lidar_imu[:3, :3] @ lever
-        return Motion(
-            T_prev_lidar=T_prev_lidar,
-            covariance=covariance,
-            velocity_lidar_mps=velocity,
-            knots=self._knots(stamps[here:] - start_ns, states[here:]),
-            gravity_lidar=-R[2],
-            gravity_sigma_rad=_UNKNOWN_TILT_RAD if self.gaps.overlap(previous_ns, end_ns) else anchor.tilt_sigma_rad,
-            velocity_known=self._answers >= 2,
-        )
+            self._go_on_from(start_ns, states[rows[1]], P)
+        return motion
+
+    def _drop_before(self, samples_ns: int, wheels_ns: int) -> None:
+        """Forgets what is not asked for any more."""
+        self.buffer.drop_before(samples_ns)
+        self.gaps.drop_before(samples_ns)
+        if self.wheels is not None:
+            self.wheels.drop_before(wheels_ns)
 
     def _go_on_from(self, stamp_ns: int, row: Array, velocity_covariance: Array) -> None:
         """Nobody has said for long where the robot is: what was integrated so far is not integrated again."""
@@ -222,26 +197,6 @@ class ImuNode:
             velocity_covariance=velocity_covariance,
         )
         self._started = False
-
-    def _lidar_pose(self, row: Array) -> Array:
-        return se3.compose(row[:9].reshape(3, 3), row[9:12]) @ self.T_imu_lidar
-
-    def _knots(self, offsets_ns: NDArray[np.int64], states: Array) -> Knots:
-        imu_poses, poses = np.empty((2, len(states), 12))
-        kernels.place(states, imu_poses)
-        kernels.emit(imu_poses, self.T_imu_lidar, poses)
-        rotation, translation = np.empty((len(states), 3)), np.empty((len(states), 3))
-        kernels.knots(poses, rotation, translation)
-        return Knots(offsets_ns.astype(np.int64), rotation, translation)
-
-    def _motion_covariance(self, interval_s: float, velocity_lidar: Array, noise: ImuNoise) -> Array:
-        """(6, 6) of the motion over an interval; velocity_lidar: (3, 3) covariance of the velocity, frame `lidar`."""
-        s = self.settings
-        rotation = noise.gyro_radps_rthz**2 * interval_s + (0.1 * s.prior_bias_gyro_radps * interval_s) ** 2
-        covariance = np.eye(6) * 1e-8
-        covariance[:3, :3] += np.eye(3) * rotation
-        covariance[3:, 3:] += (velocity_lidar + np.eye(3) * noise.accel_mps2_rthz**2 * interval_s) * interval_s**2
-        return covariance
 
     def _noise(self, start_ns: int, end_ns: int) -> ImuNoise:
         """The IMU's noise over a time: its own, or what a robot may do while it is silent."""
@@ -264,27 +219,15 @@ class ImuNode:
         if self._blind:
             self._stand_in(start_ns, end_ns)
         window = self.buffer.window(min(start_ns, self.buffer.last_ns), end_ns)
-        accel, gyro = window.accel_mps2.mean(axis=0), window.gyro_radps.mean(axis=0)
-        g = self.robot.gravity_mps2
-        spread = float(np.linalg.norm(window.accel_mps2.std(axis=0)))
-        still = (
-            len(window.stamps_ns) >= _STILL_SAMPLES and np.linalg.norm(gyro) < _STILL_GYRO_RADPS and spread < 0.05 * g
-        )
-        excess = abs(float(np.linalg.norm(accel)) - g) / g
-        self._tilt_sigma_rad = _UNKNOWN_TILT_RAD if self._blind else max(0.01, excess) if still else _MOVING_TILT_RAD
-        up_lidar = self.T_lidar_imu[:3, :3] @ accel
-        T_odom_lidar = se3.compose(se3.level_rotation(up_lidar), np.zeros(3))
-        bias = np.zeros(6)
-        if still:
-            bias[:3] = 0.0
-        T_odom_imu = T_odom_lidar @ self.T_lidar_imu
+        R_odom_lidar, sigma_rad = level(window, self.T_lidar_imu[:3, :3], self.robot.gravity_mps2)
+        self._tilt_sigma_rad = UNKNOWN_TILT_RAD if self._blind else sigma_rad
+        T_odom_imu = se3.compose(R_odom_lidar, np.zeros(3)) @ self.T_lidar_imu
         doubt = np.eye(3) * self.settings.prior_velocity_mps**2, self._tilt_sigma_rad
-        self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), bias, *doubt)
+        self._anchor = NavigationState(start_ns, T_odom_imu, np.zeros(3), np.zeros(6), *doubt)
         self._live, self._live_ns = _row(self._anchor)[None], start_ns
-        self._output = T_odom_imu[:3].reshape(-1)
         self._live_P = self._anchor.velocity_covariance.copy()
         self._live_wheel_ns = self._wheels_after(self._anchor)
-        self._history.append(np.array([start_ns]), T_odom_lidar[None, :3].reshape(1, 12))
+        self.output.begin(start_ns, T_odom_imu)
         if self.buffer.last_ns > start_ns:
             self._propagate(self.buffer.last_ns)
 
@@ -301,15 +244,13 @@ class ImuNode:
         end_ns = stamp_ns + _LEVEL_NS
         if self.buffer.last_ns < end_ns or self.gaps.overlap(stamp_ns, end_ns):
             return False
-        accel = self.buffer.window(stamp_ns, end_ns).accel_mps2.mean(axis=0)
-        T = self.T_odom_lidar_at(stamp_ns)
-        heading = se3.so3_exp(np.array([0.0, 0.0, np.arctan2(T[1, 0], T[0, 0])]))
-        T[:3, :3] = heading @ se3.level_rotation(self.T_lidar_imu[:3, :3] @ accel)
-        T_odom_imu, anchor = T @ self.T_lidar_imu, self._anchor
+        window = self.buffer.window(stamp_ns, end_ns)
+        T_odom_imu = level_at(self.T_odom_lidar_at(stamp_ns), window, self.T_lidar_imu[:3, :3]) @ self.T_lidar_imu
+        anchor = self._anchor
         assert anchor is not None
         velocity = T_odom_imu[:3, :3] @ anchor.T_odom_imu[:3, :3].T @ anchor.velocity_mps
         doubt = anchor.velocity_covariance + np.eye(3) * self.settings.no_imu_velocity_mps**2
-        self._tilt_sigma_rad, self._blind = _MOVING_TILT_RAD, False
+        self._tilt_sigma_rad, self._blind = MOVING_TILT_RAD, False
         self._anchor = NavigationState(stamp_ns, T_odom_imu, velocity, np.zeros(6), doubt, self._tilt_sigma_rad)
         return True
 
@@ -368,7 +309,7 @@ class ImuNode:
         anchor = self._anchor
         assert anchor is not None
         state = replace(anchor, stamp_ns=stamp_ns, tilt_sigma_rad=self._tilt_sigma_rad)
-        self.filter.start(state, T_server_imu, max(self._tilt_sigma_rad, _MOVING_TILT_RAD))
+        self.filter.start(state, T_server_imu, max(self._tilt_sigma_rad, MOVING_TILT_RAD))
         self._started = True
 
     def _restart(self, stamp_ns: int, anchor: NavigationState, T_server_imu: Array) -> None:
@@ -391,13 +332,3 @@ class ImuNode:
 
 def _row(state: NavigationState) -> Array:
     return np.concatenate([state.T_odom_imu[:3, :3].reshape(-1), state.T_odom_imu[:3, 3], state.velocity_mps])
-
-
-def _no_poses() -> OdomPoses:
-    return OdomPoses(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)))
-
-
-def _odom_poses(stamps_ns: NDArray[np.int64], poses: Array, velocities_mps: Array) -> OdomPoses:
-    positions, quats = np.empty((len(poses), 3)), np.empty((len(poses), 4))
-    kernels.split(poses, positions, quats)
-    return OdomPoses(stamps_ns, positions, quats, velocities_mps.copy())

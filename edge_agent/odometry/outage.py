@@ -2,9 +2,10 @@
 
 The Imu node is given poses of one frame, `steady`, that never jumps. With the service connected, `steady` is the
 service's odometry frame (inv(T_map_odom) @ T_map_lidar). In an outage the edge's odometry goes on in it, from the
-service's own poses of the last scans; where none has ever come, from the first scan on, level. When the service is
-back, its frame lies where the two disagree by the drift of the outage: T_steady_server. `map` takes that difference,
-and the robot's `odom` knows nothing of it.
+service's own poses of the last scans; where none has ever come that says where the robot is, from the first scan on,
+level: an agent that begins anew in the middle of a run may be looked for, and how it moves meanwhile must not be the
+IMU's word alone. When the service is back, its frame lies where the two disagree by the drift of the outage:
+T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing of it.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ class OutageReport:
 class Outages:
     """Takes every frame that is sent and every answer, and hands out what the Imu node is to be told.
 
-    `alone`: no answers, the edge's odometry is at work. Not in lockstep with a service, which waits: there
-    an answer is late by two scans only.
+    `alone`: no answers, or from the start none that knows a place; the edge's odometry is at work. Not in lockstep with
+    a service, which waits: there an answer is late by two scans only.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Outages:
         self._joined = 0  # answers that have said so, in this outage
         self._begun_ns = self._newest_ns = 0
         self._anchored = True  # False: the service has not said yet where the robot is
+        self._state = UNANCHORED  # of the edge's own poses: that, or what a service says that looks for the robot
 
     # --- frames -----------------------------------------------------------------------------------------------
 
@@ -99,6 +101,8 @@ class Outages:
         return frame.stamp_ns if self._clock_ns is None else self._clock_ns()
 
     def _is_outage(self, now_ns: int) -> bool:
+        if self._is_looked_for and self._can_stand_alone:
+            return True
         if len(self._unanswered) < self.settings.unanswered:
             return False
         silent_s = (now_ns - next(iter(self._unanswered.values()))[0]) * 1e-9
@@ -113,11 +117,18 @@ class Outages:
         return self._last is None or self._last.state in (LOCALISING, LOST)
 
     @property
+    def _is_looked_for(self) -> bool:
+        """The service answers, but has never known where the robot is."""
+        return self._last is not None and not self._ring.keyframes and self._knows_nothing
+
+    @property
     def _can_stand_alone(self) -> bool:
         return any(self._ring.wants(frame) for _, frame in self._unanswered.values())
 
     def _begin(self) -> None:
+        self._state = UNANCHORED
         if not self._ring.keyframes:
+            self._state = self._last.state if self._last is not None else UNANCHORED
             self._stand_alone()
         last = self._last
         assert last is not None
@@ -154,7 +165,7 @@ class Outages:
             T_map_lidar=self._last.T_map_odom @ placement.T_steady_lidar,
             T_map_odom=self._last.T_map_odom,
             covariance=placement.covariance,
-            state=UNANCHORED,
+            state=self._state,
             degenerate_axes=placement.degenerate_axes,
         )
 
@@ -162,14 +173,20 @@ class Outages:
 
     def on_answer(self, reply: OdometryReply) -> tuple[OdometryReply, Correction | None]:
         """The service's answer as the Imu node is to read it, and how `map` moved if that ends an outage."""
+        looked_for = reply.state in (LOCALISING, LOST)
+        if looked_for and not self._ring.keyframes and not reply.rejected:
+            self._last = reply  # its frame stays at hand: the edge's odometry may begin there
+            return reply, None
         frame = self._take(reply.seq)
         if reply.rejected:
             return reply, None
+        if looked_for:
+            self._state = reply.state
         correction = self._late(reply) if self.alone else None
         steady = self._steady(reply)
         if not self.alone:
             self._last = steady
-            if frame is not None and reply.state not in (LOCALISING, LOST) and self._ring.wants(frame):
+            if frame is not None and not looked_for and self._ring.wants(frame):
                 self._ring.add(frame, se3.inv(steady.T_map_odom) @ steady.T_map_lidar, steady.covariance)
         return steady, correction
 

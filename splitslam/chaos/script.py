@@ -21,8 +21,8 @@ KEYS = {"k": "kill replica", "s": "kill store", "n": "cut network", "a": "kill a
 DEFAULT = """
  4   kill replica
  9   kill agent
-16   kill store     3
-26   cut network    6
+20   kill store     3
+28   cut network    6
 """
 
 

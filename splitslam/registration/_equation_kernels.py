@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from splitslam._se3_kernels import exp, log, multiply
 from splitslam.registration._kernels import COUNT, FASTMATH, KIND, PLANE
 
 
@@ -221,3 +222,55 @@ def solve(H, information, b, xi, damping, step):
             step[r] -= A[k, r] * step[k]
         step[r] /= A[r, r]
     return True
+
+
+@njit(cache=True, nogil=True)
+def mirror(H):
+    """Symmetric H (n, n) from its upper triangle."""
+    for r in range(len(H)):
+        for c in range(r):
+            H[r, c] = H[c, r]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def equations(corners, surfs, T, noise, H, b):
+    """H (6, 6) and b (6,) = the whole normal equations of both classes, each (fits, points); returns as `linearise`."""
+    H[:], b[:] = 0.0, 0.0
+    of_corners = linearise(corners[0], corners[1], T, noise, H, b)
+    of_surfs = linearise(surfs[0], surfs[1], T, noise, H, b)
+    mirror(H)
+    return of_corners[0] + of_surfs[0], of_corners[1] + of_surfs[1], of_corners[2] + of_surfs[2]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def spurious_of_both(corners, surfs, T, noise, H):
+    """H (6, 6) = the whole spurious information of both classes, each (fits, points)."""
+    H[:] = 0.0
+    spurious(corners[0], corners[1], T, noise, H)
+    spurious(surfs[0], surfs[1], T, noise, H)
+    mirror(H)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def advance(H, information, b, T, T_back, tangents, gains, damping):
+    """One step of Levenberg-Marquardt, by which T (4, 4) is moved.
+
+    tangents (3, 6), brought up to date: xi of T from the prediction, whose inverse is T_back; the twist that xi implies
+    for the scan; the step. gains (2, 6): of xi to the twist, 1/s; of a tangent to metres at a lever arm.
+    Returns by how much the step turns, rad, and moves, m, and by how much the twist has changed, m/s at a lever arm.
+    """
+    xi, twist, step = tangents[0], tangents[1], tangents[2]
+    solve(H, information, b, xi, damping, step)
+    D, moved = np.empty((4, 4)), np.empty((4, 4))
+    exp(step, D)
+    multiply(T, D, moved)
+    T[:] = moved
+    multiply(T_back, T, D)
+    log(D, xi)
+    changed = 0.0
+    for k in range(6):
+        before, twist[k] = twist[k], gains[0, k] * xi[k]
+        changed += ((twist[k] - before) * gains[1, k]) ** 2
+    turned_rad = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+    moved_m = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+    return turned_rad, moved_m, math.sqrt(changed)

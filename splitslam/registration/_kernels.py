@@ -1,11 +1,13 @@
-"""Kernels of the local map: one open-addressing hash table for the voxels of all levels.
+"""Kernels of the local map: one open-addressing hash table for the voxels of all levels, and a row for each voxel.
 
-Row layout:
-  keys    (C,) int64: level << 60 | ix << 40 | iy << 20 | iz, biased by 2^19; -1: free.
-  moments (C, 10) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre.
-  geometry (C, 16) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind, longest
-  axis (3), n, index of the keyframe that saw the voxel first, unused. Two cache lines: all that a match needs.
-Kind: 0 none, 1 plane, 2 line, -1 moments have changed since the fit. C is a power of two.
+Layout:
+  slots   (C, 2) int64: key and row. Key: level << 60 | ix << 40 | iy << 20 | iz, biased by 2^19; -1: free.
+  moments (R, 10) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre.
+  geometry (R, 16) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind, longest
+  axis (3), n, index of the keyframe that saw the voxel first, next free row. Two cache lines: all that a match needs.
+  pool    (2,) int64: how many rows were ever used, and the first of those that are free again; -1: none.
+Kind: 0 none, 1 plane, 2 line, -1 moments have changed since the fit. C is a power of two, R half of it.
+Rows are taken one after the other, so memory is touched as voxels come, and neighbours lie side by side.
 Rules (7,) float64: size of the finest voxels (m), levels, kind of the fits, and their limits: n_min, largest sigma of
 the thin directions (m), smallest sigma of the wide ones as a share of the voxel's size, largest ratio thin/wide sigma.
 """
@@ -21,7 +23,8 @@ FASTMATH = {"contract", "arcp", "nsz"}
 BIAS = 1 << 19
 MASK = (1 << 20) - 1
 MOMENTS, GEOMETRY = 10, 16
-KIND, COUNT, KEYFRAME = 9, 13, 14
+KIND, COUNT, KEYFRAME, NEXT = 9, 13, 14, 15
+EVER_USED, FREE = 0, 1  # of `pool`
 PLANE = 1.0
 LINE = 2.0
 STALE = -1.0
@@ -34,20 +37,32 @@ def pack(level, ix, iy, iz):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def home_of(keys, key):
+def home_of(slots, key):
     """Where `key` is looked for first (Fibonacci hashing)."""
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    return (h >> np.uint64(32)) & np.uint64(len(keys) - 1)
+    return (h >> np.uint64(32)) & np.uint64(len(slots) - 1)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def slot_of(keys, key):
+def slot_of(slots, key):
     """First slot that holds `key` or is free (linear probing)."""
-    mask = np.uint64(len(keys) - 1)
-    i = home_of(keys, key)
-    while keys[i] != -1 and keys[i] != key:
+    mask = np.uint64(len(slots) - 1)
+    i = home_of(slots, key)
+    while slots[i, 0] != -1 and slots[i, 0] != key:
         i = (i + np.uint64(1)) & mask
     return np.int64(i)
+
+
+@njit(cache=True, nogil=True)
+def _take_row(geometry, pool):
+    """A row for a new voxel: those that are free are zero but for where the next one is."""
+    row = pool[FREE]
+    if row >= 0:
+        pool[FREE] = np.int64(geometry[row, NEXT])
+    else:
+        row = pool[EVER_USED]
+        pool[EVER_USED] += 1
+    return row
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH, inline="always")
@@ -67,7 +82,7 @@ def _count(m, sign, dx, dy, dz):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def insert(keys, moments, geometry, rules, points, keyframe):
+def insert(slots, moments, geometry, pool, rules, points, keyframe):
     """Adds points (N, 3) to every level; returns how many voxels are new. The caller has room for N * levels more."""
     new = 0
     for k in range(len(points)):
@@ -76,19 +91,20 @@ def insert(keys, moments, geometry, rules, points, keyframe):
         for level in range(np.int64(rules[1])):
             ix, iy, iz = math.floor(x / size), math.floor(y / size), math.floor(z / size)
             key = pack(level, np.int64(ix), np.int64(iy), np.int64(iz))
-            i = slot_of(keys, key)
-            if keys[i] == -1:
-                keys[i] = key
-                geometry[i, KEYFRAME] = keyframe
+            i = slot_of(slots, key)
+            if slots[i, 0] == -1:
+                slots[i, 0], slots[i, 1] = key, _take_row(geometry, pool)
+                geometry[slots[i, 1], KEYFRAME] = keyframe
                 new += 1
-            _count(moments[i], 1.0, x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size)
-            geometry[i, KIND] = STALE
+            row = slots[i, 1]
+            _count(moments[row], 1.0, x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size)
+            geometry[row, KIND] = STALE
             size *= 2.0
     return new
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def take_out(keys, moments, geometry, rules, points, gone):
+def take_out(slots, moments, geometry, rules, points, gone):
     """Takes points (N, 3) that are in out again; gone (N * levels) out: keys that have none left; returns how many."""
     count = 0
     for k in range(len(points)):
@@ -97,10 +113,10 @@ def take_out(keys, moments, geometry, rules, points, gone):
         for level in range(np.int64(rules[1])):
             ix, iy, iz = math.floor(x / size), math.floor(y / size), math.floor(z / size)
             key = pack(level, np.int64(ix), np.int64(iy), np.int64(iz))
-            i = slot_of(keys, key)
-            _count(moments[i], -1.0, x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size)
-            geometry[i, KIND] = STALE
-            if moments[i, 0] == 0.0:
+            row = slots[slot_of(slots, key), 1]
+            _count(moments[row], -1.0, x - (ix + 0.5) * size, y - (iy + 0.5) * size, z - (iz + 0.5) * size)
+            geometry[row, KIND] = STALE
+            if moments[row, 0] == 0.0:
                 gone[count] = key
                 count += 1
             size *= 2.0
@@ -182,16 +198,17 @@ def fit(key, m, g, rules, A, V):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def fit_all(keys, moments, geometry, rules):
+def fit_all(slots, moments, geometry, rules):
     """Fits every voxel whose moments have changed since."""
     A, V = np.empty((3, 3)), np.empty((3, 3))
-    for i in range(len(keys)):
-        if geometry[i, KIND] == STALE:
-            fit(keys[i], moments[i], geometry[i], rules, A, V)
+    for i in range(len(slots)):
+        key, row = slots[i, 0], slots[i, 1]
+        if key != -1 and geometry[row, KIND] == STALE:
+            fit(key, moments[row], geometry[row], rules, A, V)
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def match(keys, moments, geometry, rules, points_lidar, T, gate_m, fits):
+def match(slots, moments, geometry, rules, points_lidar, T, gate_m, fits):
     """Finds for each point (N, 3), moved by T (4, 4), the finest voxel with a fit: its own, else the nearest face's.
 
     fits (N, 16) out: that voxel's geometry, kind 0 without a match. A match is refused when the point is further than
@@ -219,12 +236,13 @@ def match(keys, moments, geometry, rules, points_lidar, T, gate_m, fits):
                     jy += 1 if fy - iy > 0.5 else -1
                 elif side == 3:
                     jz += 1 if fz - iz > 0.5 else -1
-                i = slot_of(keys, pack(level, jx, jy, jz))
-                if keys[i] == -1:
+                i = slot_of(slots, pack(level, jx, jy, jz))
+                key, row = slots[i, 0], slots[i, 1]
+                if key == -1:
                     continue
-                g = geometry[i]
+                g = geometry[row]
                 if g[KIND] == STALE:
-                    fit(keys[i], moments[i], g, rules, A, V)
+                    fit(key, moments[row], g, rules, A, V)
                 if g[KIND] == 0.0:
                     continue
                 dx, dy, dz = x - g[0], y - g[1], z - g[2]
@@ -240,7 +258,7 @@ def match(keys, moments, geometry, rules, points_lidar, T, gate_m, fits):
                         continue
                 if distance < best:
                     best = distance
-                    found = i
+                    found = row
                 if side == 0 and found >= 0:
                     break
             if found >= 0:
@@ -253,34 +271,33 @@ def match(keys, moments, geometry, rules, points_lidar, T, gate_m, fits):
 
 
 @njit(cache=True, nogil=True)
-def forget(keys, moments, geometry, gone):
+def forget(slots, moments, geometry, pool, gone):
     """Frees the voxels with the keys `gone` (M,), all in the table; those behind them close up.
 
     Knuth, "The art of computer programming", volume 3, section 6.4, algorithm R: no search may end at the gap.
     """
-    mask = np.int64(len(keys) - 1)
+    mask = np.int64(len(slots) - 1)
     for k in range(len(gone)):
-        i = slot_of(keys, gone[k])
+        i = slot_of(slots, gone[k])
+        row = slots[i, 1]
+        moments[row], geometry[row] = 0.0, 0.0
+        geometry[row, NEXT], pool[FREE] = pool[FREE], row
         j = i
         while True:
             j = (j + 1) & mask
-            if keys[j] == -1:
+            if slots[j, 0] == -1:
                 break
-            home = np.int64(home_of(keys, keys[j]))
+            home = np.int64(home_of(slots, slots[j, 0]))
             if ((j - home) & mask) >= ((j - i) & mask):  # its search passes the gap
-                keys[i] = keys[j]
-                moments[i] = moments[j]
-                geometry[i] = geometry[j]
+                slots[i, 0], slots[i, 1] = slots[j, 0], slots[j, 1]
                 i = j
-        keys[i] = -1
-        moments[i] = 0.0
-        geometry[i] = 0.0
+        slots[i, 0] = -1
 
 
 @njit(cache=True, nogil=True)
-def rehash(keys, live, slots):
-    """Puts the keys `live` (M,) into the empty table `keys`; slots (M,) out says where."""
-    for k in range(len(live)):
-        i = slot_of(keys, live[k])
-        keys[i] = live[k]
-        slots[k] = i
+def rehash(slots, before):
+    """Puts what is in the table `before` into the empty table `slots`."""
+    for k in range(len(before)):
+        if before[k, 0] != -1:
+            i = slot_of(slots, before[k, 0])
+            slots[i, 0], slots[i, 1] = before[k, 0], before[k, 1]

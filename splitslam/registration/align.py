@@ -96,38 +96,39 @@ class Registration:
         """
         s = self.settings
         voxels, points = (local_map.corners, local_map.surfs), (corners_lidar, surfs_lidar)
-        classes = [_Class(*of) for of in zip(voxels, points, offsets_s, self._scratch, strict=True) if len(of[1])]
+        corners, surfs = (_Class(*of) for of in zip(voxels, points, offsets_s, self._scratch, strict=True))
         T, T_back = prediction.T_local_lidar.copy(), se3.inv(prediction.T_local_lidar)
-        xi, step, delta, dt = np.zeros(6), np.zeros(6), np.zeros(6), prediction.interval_s
-        gain, gate_m = self._gain(prediction), self._gate_m(prediction)
-        converged, iterations, unmatched_m = False, 0, np.inf
+        tangents = np.zeros((3, 6))
+        gains = np.stack([self._gain(prediction) / prediction.interval_s * deskew_again, self._scale])
+        gate_m, converged, iterations, unmatched_m = self._gate_m(prediction), False, 0, np.inf
         H, fit, axes = np.zeros((6, 6)), _Fit(0, 0, 0.0), np.zeros((0, 6))
         spurious = None
         for iterations in range(1, s.max_iterations + 1):
             if unmatched_m > s.rematch_m:
-                for features in classes:
+                for features in (corners, surfs):
                     features.match(T, gate_m)
                 unmatched_m = 0.0
             noise = np.array([s.point_sigma_m, s.robust_sigmas, gate_m])
-            H_all, b, fit = _normal_equations(classes, T, noise)
+            H_all, b = np.empty((6, 6)), np.empty(6)
+            fit = _Fit(*kernels.equations(corners.matched, surfs.matched, T, noise, H_all, b))
             if spurious is None:  # it hardly changes with the pose
-                spurious = _spurious_information(classes, T, noise)
+                spurious = np.empty((6, 6))
+                kernels.spurious_of_both(corners.matched, surfs.matched, T, noise, spurious)
             H, b, axes = self._observed(H_all, spurious, b, fit)
-            kernels.solve(H, prediction.information, b, xi, s.damping, step)
-            T = T @ se3.exp(step)
-            xi = se3.log(T_back @ T)
-            turned_rad, moved_m = _lengths(step)
+            turned_rad, moved_m, twisted_mps = kernels.advance(
+                H, prediction.information, b, T, T_back, tangents, gains, s.damping
+            )
             if deskew_again:
-                previous, delta = delta, gain * xi / dt
-                moved_m += 0.1 * _length((delta - previous) * self._scale)
-                for features in classes:
-                    features.shift(delta)
+                moved_m += 0.1 * twisted_mps
+                for features in (corners, surfs):
+                    features.shift(tangents[1])
             if moved_m < s.converged_m and turned_rad < s.converged_rad:
                 converged = True
                 break
             unmatched_m += moved_m + s.lever_m * turned_rad
             gate_m = max(s.gate_end_m, 0.6 * gate_m)
-        return self._result(T, H, axes, prediction, converged, iterations, fit, classes, delta)
+        delta = tangents[1].copy()
+        return self._result(T, H, axes, prediction, converged, iterations, fit, (corners, surfs), delta)
 
     def _gain(self, prediction: Prediction) -> Array:
         """(6,): how much of the twist that the found motion implies is believed, against the edge's own."""
@@ -180,7 +181,7 @@ class Registration:
         converged: bool,
         iterations: int,
         fit: _Fit,
-        classes: list[_Class],
+        classes: tuple[_Class, _Class],
         delta: Array,
     ) -> RegistrationResult:
         information = H * self._trust(fit)
@@ -237,6 +238,11 @@ class _Class:
         self._original[:] = points_lidar
         self.points_lidar = self._original
 
+    @property
+    def matched(self) -> tuple[Array, Array]:
+        """Fits (N, 16) and the points (N, 3) as they are now."""
+        return self.fits, self.points_lidar
+
     def match(self, T_local_lidar: Array, gate_m: float) -> None:
         self._voxels.match(self.points_lidar, T_local_lidar, gate_m, self.fits)
 
@@ -252,44 +258,10 @@ def deskew_again(points_lidar: NDArray[Real], offsets_s: Array, delta_twist: Arr
     return moved
 
 
-def _normal_equations(classes: list[_Class], T: Array, noise: Array) -> tuple[Array, Array, _Fit]:
-    H, b = np.zeros((6, 6)), np.zeros(6)
-    matched, inliers, squares = 0, 0, 0.0
-    for c in classes:
-        part = kernels.linearise(c.fits, c.points_lidar, T, noise, H, b)
-        matched, inliers, squares = matched + part[0], inliers + part[1], squares + part[2]
-    return _mirrored(H), b, _Fit(matched, inliers, squares)
-
-
-def _spurious_information(classes: list[_Class], T: Array, noise: Array) -> Array:
-    """(6, 6): what the fits' uncertain axes add to the normal equations of the last match, in the mean."""
-    H = np.zeros((6, 6))
-    for c in classes:
-        kernels.spurious(c.fits, c.points_lidar, T, noise, H)
-    return _mirrored(H)
-
-
-def _mirrored(upper: Array) -> Array:
-    """Symmetric, from the upper triangle; the lower one is zero."""
-    whole = upper + upper.T
-    whole.flat[:: len(whole) + 1] *= 0.5
-    return whole
-
-
-def _first_seen_by(classes: list[_Class]) -> NDArray[np.int64]:
+def _first_seen_by(classes: tuple[_Class, _Class]) -> NDArray[np.int64]:
     """Quantiles of the keyframes that the matched voxels are from; empty without a match."""
     first = np.concatenate([np.zeros(0), *(c.fits[c.fits[:, KIND] != 0.0, KEYFRAME] for c in classes)])
     if not len(first):
         return np.zeros(0, np.int64)
     first.sort()
     return first[np.rint(_QUANTILES * (len(first) - 1)).astype(np.int64)].astype(np.int64)
-
-
-def _lengths(xi: Array) -> tuple[float, float]:
-    """rad and m of a tangent (6,)."""
-    a, b, c, x, y, z = xi.tolist()
-    return math.hypot(a, b, c), math.hypot(x, y, z)
-
-
-def _length(values: Array) -> float:
-    return math.hypot(*values.tolist())

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
+from splitslam.registration import _doubt_kernels as kernels
 
 Array = NDArray[np.float64]
 
@@ -32,14 +33,13 @@ class Slip:
             self.covariance += sigma**2 * np.outer(axis, axis)
 
 
-def carried_over(T_local_lidar: Array, seen_by: Iterable[tuple[Array, Array]]) -> Array:
+def carried_over(T_local_lidar: Array, seen_by: Sequence[tuple[Array, Array]]) -> Array:
     """(6, 6): mean error of the keyframes (pose (4, 4), covariance (6, 6) in its right tangent), seen at T_local_lidar.
 
     The map near the robot is off like a rigid body: each keyframe's error is carried over to the robot's pose.
     """
-    back, total, count = se3.inv(T_local_lidar), np.zeros((6, 6)), 0
-    for T_local_keyframe, covariance in seen_by:
-        carry = se3.adjoint(back @ T_local_keyframe)
-        total += carry @ covariance @ carry.T
-        count += 1
-    return total / max(count, 1)
+    mean = np.zeros((6, 6))
+    if seen_by:
+        poses, covariances = zip(*seen_by, strict=True)
+        kernels.carried_over(T_local_lidar, np.array(poses), np.array(covariances), mean)
+    return mean

@@ -7,6 +7,8 @@ few points for a fit, are covered by the coarser levels.
 
 from __future__ import annotations
 
+import mmap
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,72 +18,79 @@ from splitslam.registration.settings import LocalMapSettings, VoxelSettings
 
 Array = NDArray[np.float64]
 _CAPACITY = 1 << 14
-_LINE_BYTES = 64
 
 
 class VoxelMap:
     """A hash map of voxels with one kind of fit (planes or lines), each made when a scan first asks for it.
 
     So a map that is filled with all its keyframes at once, after a restart or a loop, fits each voxel once, and those
-    that no scan comes near never.
+    that no scan comes near never. moments, geometry: a row for each voxel, see _kernels.py.
     """
 
     def __init__(self, settings: VoxelSettings, kind: float, capacity: int = _CAPACITY) -> None:
-        """capacity: voxels for which memory is taken at once, a power of two; twice as many as will be used."""
+        """capacity: of the hash table, a power of two; twice as many as there will be voxels, or it has to grow."""
         self.settings = s = settings
         limits = s.min_points, s.max_thickness_m, s.min_extent_share, s.max_thickness_ratio
         self.rules = np.array([s.voxel_m, s.levels, kind, *limits], np.float64)
         self._allocate(capacity)
 
     def _allocate(self, capacity: int) -> None:
-        self.keys = np.full(capacity, -1, np.int64)
-        self.moments = np.zeros((capacity, kernels.MOMENTS))
-        self._geometry = _in_cache_lines(capacity, kernels.GEOMETRY)
+        self.slots = np.full((capacity, 2), -1, np.int64)
+        self.moments = _on_demand(max(capacity // 2, 1), kernels.MOMENTS)
+        self._geometry = _on_demand(max(capacity // 2, 1), kernels.GEOMETRY)
+        self._pool = np.array([0, -1])
         self.used = 0
 
     def clear(self) -> None:
         """Forgets everything, keeps the memory."""
-        self.keys.fill(-1)
-        self.moments.fill(0.0)
-        self._geometry.fill(0.0)
+        self.slots.fill(-1)
+        rows = int(self._pool[kernels.EVER_USED])
+        self.moments[:rows], self._geometry[:rows] = 0.0, 0.0
+        self._pool[:] = 0, -1
         self.used = 0
 
     @property
+    def keys(self) -> NDArray[np.int64]:
+        """(R,) of each row, see _kernels.py; -1 for those that are free."""
+        keys, live = np.full(len(self.moments), -1), self.slots[:, 0] != -1
+        keys[self.slots[live, 1]] = self.slots[live, 0]
+        return keys
+
+    @property
     def geometry(self) -> Array:
-        """(capacity, 16) of each slot, all fits made, see _kernels.py."""
-        kernels.fit_all(self.keys, self.moments, self._geometry, self.rules)
+        """(R, 16) of each row, all fits made, see _kernels.py."""
+        kernels.fit_all(self.slots, self.moments, self._geometry, self.rules)
         return self._geometry
 
     def insert(self, points: Array, keyframe: int) -> None:
         """Adds the points (N, 3), m, frame of the map, of a keyframe."""
         new = len(points) * self.settings.levels
-        if 2 * (self.used + new) > len(self.keys):
+        if 2 * (self.used + new) > len(self.slots):
             self._grow(new)
-        self.used += kernels.insert(self.keys, self.moments, self._geometry, self.rules, points, keyframe)
+        self.used += kernels.insert(self.slots, self.moments, self._geometry, self._pool, self.rules, points, keyframe)
 
     def remove(self, points: Array) -> None:
         """Takes out the points (N, 3) of a keyframe that is in, the very same to the bit."""
         gone = np.empty(len(points) * self.settings.levels, np.int64)
-        count = kernels.take_out(self.keys, self.moments, self._geometry, self.rules, points, gone)
-        kernels.forget(self.keys, self.moments, self._geometry, gone[:count])
+        count = kernels.take_out(self.slots, self.moments, self._geometry, self.rules, points, gone)
+        kernels.forget(self.slots, self.moments, self._geometry, self._pool, gone[:count])
         self.used -= count
 
     def _grow(self, new: int) -> None:
-        """A larger table, with room for `new` more voxels."""
-        keys, moments, geometry = self.keys, self.moments, self._geometry
-        live = np.flatnonzero(keys != -1)
-        capacity = len(keys)
-        while capacity < 2 * (len(live) + new):
+        """A larger table, with room for `new` more voxels; each keeps its row."""
+        slots, moments, geometry, pool, used = self.slots, self.moments, self._geometry, self._pool, self.used
+        capacity = len(slots)
+        while capacity < 2 * (used + new):
             capacity *= 2
         self._allocate(capacity)
-        slots = np.empty(len(live), np.int64)
-        kernels.rehash(self.keys, keys[live], slots)
-        self.moments[slots], self._geometry[slots] = moments[live], geometry[live]
-        self.used = len(live)
+        kernels.rehash(self.slots, slots)
+        rows = int(pool[kernels.EVER_USED])
+        self.moments[:rows], self._geometry[:rows] = moments[:rows], geometry[:rows]
+        self._pool, self.used = pool, used
 
     def match(self, points_lidar: Array, T_map_lidar: Array, gate_m: float, fits: Array) -> None:
         """fits (N, 16) out: the geometry (see _kernels.py) that points (N, 3) at T_map_lidar (4, 4) belong to."""
-        kernels.match(self.keys, self.moments, self._geometry, self.rules, points_lidar, T_map_lidar, gate_m, fits)
+        kernels.match(self.slots, self.moments, self._geometry, self.rules, points_lidar, T_map_lidar, gate_m, fits)
 
 
 class LocalMap:
@@ -99,6 +108,10 @@ class LocalMap:
         self.corners.clear()
         self.surfs.clear()
         self.keyframes.clear()
+
+    def become(self, other: LocalMap) -> None:
+        """Takes over all that is in another map of the same settings, which is not to be used any more."""
+        self.corners, self.surfs, self.keyframes = other.corners, other.surfs, other.keyframes
 
     def insert(
         self,
@@ -131,8 +144,10 @@ def _moved(T_local_lidar: Array, points_lidar: NDArray[np.float32]) -> Array:
     return points_local
 
 
-def _in_cache_lines(rows: int, columns: int) -> Array:
-    """(rows, columns) zeros that begin with a cache line."""
-    data = np.zeros(rows * columns + _LINE_BYTES // 8)
-    first = -data.ctypes.data % _LINE_BYTES // 8
-    return data[first : first + rows * columns].reshape(rows, columns)
+def _on_demand(rows: int, columns: int) -> Array:
+    """(rows, columns) zeros that begin with a cache line; the system gives each page when it is first written to.
+
+    numpy's own zeros come in pages of 2 MB where they are large, or from memory that the heap has to clear.
+    """
+    pages = mmap.mmap(-1, rows * columns * 8, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    return np.frombuffer(pages, np.float64).reshape(rows, columns)

@@ -57,6 +57,19 @@ def test_what_no_stage_did_is_the_process_without_its_stages():
     assert str(Spread.of([1.0, 3.0, 2.0])) == "2.00 (1.00 to 3.00)"
 
 
+def test_every_figure_of_the_edge_is_predicted_for_an_a53_and_none_of_the_map_s():
+    table = speed_figures.ours_table([cost(4.0, 6.0)])
+    cells = {
+        row[0].strip("*"): row for row in ([c.strip() for c in line.split("|")[1:-1]] for line in table.split("\n"))
+    }
+    assert cells["SplitSLAM"][-1] == "A53: predicted, not measured"
+    assert cells["edge: process"][-1] == "32.0"
+    edge = [row for name, row in cells.items() if name.startswith(("edge", "reader"))]
+    assert len(edge) == 8
+    assert all(float(row[-1]) >= 0.0 for row in edge)
+    assert {row[-1] for name, row in cells.items() if name.startswith(("map", "both"))} == {"-"}
+
+
 class CountingPeer:
     """Spends much in making its input and nothing in its own calls."""
 

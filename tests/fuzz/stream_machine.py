@@ -70,10 +70,16 @@ class StreamMachine(RuleBasedStateMachine):
         self.gate.set()
         while True:
             self.host._committer.run(lambda: None).result(WORST_S)
-            self.host.look_after()
+            self.care()
             if not self.host.sessions.committing:
                 break
         self.hold()
+
+    def care(self) -> None:
+        """As a worker does that nobody asks for anything."""
+        while self.host.care():
+            pass
+        self.host.look_after()
 
     @property
     def poisoned(self) -> int | None:
@@ -104,7 +110,7 @@ class StreamMachine(RuleBasedStateMachine):
         """What it answers, commits included."""
         self.sent.clear()
         self.host.handle(message)
-        self.host.look_after()
+        self.care()
         return list(self.sent)
 
     def ask(self, **request: Any) -> list[Any]:

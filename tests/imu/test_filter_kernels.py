@@ -82,3 +82,51 @@ def test_noise_of_gyro_and_accelerometer_shows_in_velocity_and_position():
     expected = [1e-6, 1e-6, 1e-6, 1e-4 + tilted, 1e-4 + tilted, 1e-4]
     np.testing.assert_allclose(np.diag(P)[[0, 1, 2, 6, 7, 8]], expected, rtol=0.01)
     np.testing.assert_allclose(P[5, 5], 1e-4 / 3, rtol=0.01)
+
+
+def some_pose(rng: np.random.Generator) -> np.ndarray:
+    return se3.exp(np.concatenate([rng.normal(0, 1.0, 3), rng.normal(0, 5.0, 3)]))
+
+
+def moved_state(poses: np.ndarray, rest: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    to_poses, to_rest = np.empty((2, 4, 4)), np.empty(10)
+    kernels.move(poses, rest, change, to_poses, to_rest)
+    return to_poses, to_rest
+
+
+def test_an_error_taken_out_turns_and_shifts_the_imu_in_odom_and_the_server_in_its_own_frame():
+    rng = np.random.default_rng(4)
+    for size, turn in ((21, 1e-9), (22, 0.4)):
+        poses, rest = np.array([some_pose(rng), some_pose(rng)]), rng.normal(size=10)
+        change = rng.normal(size=size)
+        change[:3] *= turn
+        to_poses, to_rest = moved_state(poses, rest, change)
+        np.testing.assert_allclose(to_poses[0, :3, :3], se3.so3_exp(change[:3]) @ poses[0, :3, :3], atol=1e-12)
+        np.testing.assert_allclose(to_poses[0, :3, 3], poses[0, :3, 3] + change[3:6], atol=1e-12)
+        np.testing.assert_allclose(to_poses[1], poses[1] @ se3.exp(change[15:21]), atol=1e-12)
+        np.testing.assert_allclose(to_poses[:, 3], [[0, 0, 0, 1]] * 2)
+        np.testing.assert_allclose(to_rest[:9], rest[:9] + change[6:15], atol=1e-12)
+        np.testing.assert_allclose(to_rest[9], rest[9] + (change[21] if size == 22 else 0.0))
+
+
+def test_the_residual_of_a_pose_is_what_is_left_of_it_and_goes_as_its_derivatives_say():
+    rng = np.random.default_rng(5)
+    T_odom_imu, T_odom_server = some_pose(rng), some_pose(rng)
+    left = se3.exp(rng.normal(0, 0.01, 6))
+    T_server_imu = se3.inv(T_odom_server) @ T_odom_imu @ se3.inv(left)
+    poses, rest, whiten = np.array([T_odom_imu, T_odom_server]), np.zeros(10), rng.normal(size=(6, 6))
+
+    def residual(change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r, H = np.empty(6), np.empty((6, 27))
+        kernels.pose_residual(moved_state(poses, rest, change)[0], T_server_imu, whiten, r, H)
+        return r, H
+
+    r, H = residual(np.zeros(21))
+    np.testing.assert_allclose(r, whiten @ [*se3.so3_log(left[:3, :3]), *left[:3, 3]], atol=1e-9)
+    h = 1e-6
+    numeric = np.column_stack([(residual(h * e)[0] - residual(-h * e)[0]) / (2 * h) for e in np.eye(21)])
+    np.testing.assert_allclose(H[:, :21], numeric, atol=0.05)  # a residual of 0.01 rad bends them by as much
+    assert np.abs(H[:, 6:15]).max() == 0.0
+    assert np.abs(H[:, 21:]).max() == 0.0
+    r, H = residual(np.concatenate([np.zeros(3), [0.01, 0.02, -0.01], np.zeros(15)]))
+    assert np.linalg.norm(r) > 0.01

@@ -113,20 +113,56 @@ def test_quaternions_positions_and_knots_are_those_of_the_poses():
         np.testing.assert_allclose(se3.compose(se3.so3_exp(w), p), se3.inv(T[0]) @ t, atol=1e-9)
 
 
-def test_a_window_has_the_samples_inside_it_and_its_ends_between_them_or_held():
+def test_a_window_has_the_samples_inside_it_and_its_marks_between_them_or_held():
     rng = np.random.default_rng(9)
     own_ns = np.cumsum(rng.integers(1, 9, 30)).astype(np.int64)
     values = rng.normal(size=(30, 6))
-    for start_ns, end_ns in rng.integers(-20, 180, (300, 2)):
-        start_ns, end_ns = int(min(start_ns, end_ns)), int(max(start_ns, end_ns))
+    for marks_ns in np.sort(rng.integers(-20, 180, (600, 4))):
+        start_ns, end_ns = marks_ns[[0, -1]]
         inside = (own_ns > start_ns) & (own_ns < end_ns)
         first = int(np.searchsorted(own_ns, start_ns, side="right"))
-        n = int(inside.sum()) + 2
+        n = int(inside.sum()) + len(marks_ns)
         stamps_ns, gyro, accel = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3))
-        kernels.window(own_ns, values, (first, start_ns, end_ns), stamps_ns, gyro, accel)
-        assert stamps_ns.tolist() == [start_ns, *own_ns[inside].tolist(), end_ns]
-        expected = np.stack([np.interp(stamps_ns, own_ns, values[:, c]) for c in range(6)], axis=1)
-        np.testing.assert_allclose(np.hstack([gyro, accel]), expected, atol=1e-12)
+        count = kernels.window(own_ns, values, first, marks_ns, stamps_ns, gyro, accel)
+        assert stamps_ns[:count].tolist() == np.union1d(marks_ns, own_ns[inside]).tolist()
+        expected = np.stack([np.interp(stamps_ns[:count], own_ns, values[:, c]) for c in range(6)], axis=1)
+        np.testing.assert_allclose(np.hstack([gyro, accel])[:count], expected, atol=1e-12)
+
+
+def test_the_output_leads_on_from_where_it_was_as_its_parts_say():
+    stamps, gyro, accel, bias, first = random_motion()
+    states = np.empty((len(stamps), 15))
+    states[0] = first
+    kernels.integrate(stamps, gyro, accel, bias, 9.81, states)
+    limits, T_imu_lidar = np.array([0.3, 0.05, 0.1, 0.003, 0.01]), se3.exp(np.array([0.1, 0.2, -0.3, 0.4, -0.1, 0.2]))
+    wanted, output, expected = np.empty((3, len(stamps), 12))
+    here, worst, poses, raised = (
+        se3.exp(np.full(6, 0.1))[:3].flatten(),
+        np.zeros(2),
+        np.empty((len(stamps), 12)),
+        np.zeros(2),
+    )
+    output[0] = here
+    kernels.place(states, wanted)
+    kernels.follow(stamps, wanted, limits, T_imu_lidar[:3, 3].copy(), output, raised)
+    kernels.emit(output, T_imu_lidar, expected)
+    kernels.lead(stamps, states, limits, T_imu_lidar, here, worst, poses)
+    np.testing.assert_allclose(poses, expected, atol=1e-12)
+    np.testing.assert_allclose(here, output[-1], atol=1e-12)
+    np.testing.assert_allclose(worst, raised, atol=1e-12)
+
+
+def test_the_motion_of_a_scan_is_from_one_state_to_another_and_on_from_there():
+    stamps, gyro, accel, bias, first = random_motion()
+    states = np.empty((len(stamps), 15))
+    states[0] = first
+    kernels.integrate(stamps, gyro, accel, bias, 9.81, states)
+    T_imu_lidar = se3.exp(np.array([0.1, 0.2, -0.3, 0.4, -0.1, 0.2]))
+    T = [se3.compose(row[:9].reshape(3, 3), row[9:12]) @ T_imu_lidar for row in states]
+    T_prev_lidar, poses = np.eye(4), np.empty((len(stamps) - 25, 12))
+    kernels.scan_motion(states, 7, 25, T_imu_lidar, T_prev_lidar, poses)
+    np.testing.assert_allclose(T_prev_lidar, np.linalg.inv(T[7]) @ T[25], atol=1e-9)
+    np.testing.assert_allclose(poses.reshape(-1, 3, 4), np.array(T)[25:, :3], atol=1e-12)
 
 
 def naive_quietest(values, period_s, longest_s):

@@ -94,7 +94,7 @@ def test_the_doubt_about_the_motion_is_neither_decorative_nor_boundless():
 def test_readings_that_stop_leave_the_node_as_without_wheels():
     node = make_node(True)
     original = node.add_wheels
-    node.add_wheels = lambda samples: original(samples) if len(node._history) < 1000 else None  # type: ignore
+    node.add_wheels = lambda samples: original(samples) if len(node.output._history) < 1000 else None  # type: ignore
     stopped = play(node, DRIVE, 12.0, Wheels(), Service(noise_m=0.005), since_s=9.0)
     none = play(make_node(False), DRIVE, 12.0, None, Service(noise_m=0.005), since_s=9.0)
     assert np.median(list(stopped.motion_m.values())) < 1.1 * np.median(list(none.motion_m.values()))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from splitslam import se3
+from splitslam.registration import _doubt_kernels as doubts
 from splitslam.registration import _equation_kernels as equations
 from splitslam.registration import _kernels as kernels
 from splitslam.registration.local_map import VoxelMap
@@ -169,8 +170,9 @@ def voxels_of(voxels: VoxelMap) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Key -> moments and geometry, found by the search that matching uses."""
     found = {}
     for key in voxels.keys[voxels.keys != -1].tolist():
-        i = kernels.slot_of(voxels.keys, np.int64(key))
-        assert voxels.keys[i] == key
+        slot = kernels.slot_of(voxels.slots, np.int64(key))
+        assert voxels.slots[slot, 0] == key
+        i = voxels.slots[slot, 1]
         found[key] = voxels.moments[i, :10].copy(), voxels.geometry[i].copy()
     return found
 
@@ -205,7 +207,7 @@ def test_an_emptied_map_is_empty():
     voxels.remove(points)
     assert (voxels.keys == -1).all()
     assert not voxels.moments.any()
-    assert not voxels.geometry.any()
+    assert not voxels.geometry[:, : kernels.NEXT].any()
 
 
 def test_a_step_of_levenberg_marquardt_equals_lapack_s():
@@ -232,3 +234,71 @@ def test_information_exceeds_another_where_no_eigenvalue_of_the_difference_is_ne
         assert equations.exceeds(H, other, factor, scale) == (smallest > 0)
         answers.append(smallest > 0)
     assert 10 < sum(answers) < 50
+
+
+def test_a_step_moves_the_pose_and_the_scan_s_twist_and_says_by_how_much():
+    rng = np.random.default_rng(19)
+    M, N = rng.normal(size=(9, 6)), rng.normal(size=(6, 6))
+    H, information, b = M.T @ M, N @ N.T, rng.normal(size=6)
+    T_start = se3.exp(rng.normal(size=6))
+    T, tangents = T_start @ se3.exp(rng.normal(0, 0.1, 6)), np.zeros((3, 6))
+    tangents[0], tangents[1] = se3.log(se3.inv(T_start) @ T), rng.normal(size=6)
+    gains = np.stack([rng.uniform(0, 10, 6), rng.uniform(1, 5, 6)])
+    before, twist, expected = T.copy(), tangents[1].copy(), np.empty(6)
+    equations.solve(H, information, b, tangents[0].copy(), 1e-6, expected)
+    turned_rad, moved_m, twisted_mps = equations.advance(H, information, b, T, se3.inv(T_start), tangents, gains, 1e-6)
+    np.testing.assert_allclose(tangents[2], expected)
+    np.testing.assert_allclose(T, before @ se3.exp(expected), atol=1e-12)
+    np.testing.assert_allclose(tangents[0], se3.log(se3.inv(T_start) @ T), atol=1e-9)
+    np.testing.assert_allclose(tangents[1], gains[0] * tangents[0], atol=1e-9)
+    np.testing.assert_allclose([turned_rad, moved_m], [np.linalg.norm(expected[:3]), np.linalg.norm(expected[3:])])
+    np.testing.assert_allclose(twisted_mps, np.linalg.norm((tangents[1] - twist) * gains[1]))
+
+
+def test_the_equations_of_both_classes_are_the_sum_of_each_and_symmetric():
+    rng = np.random.default_rng(20)
+    surfs, corners = room(rng, 4000, 0.01)
+    noise, T, sums = np.array([0.02, 1.5, 0.5]), se3.exp(rng.normal(0, 0.01, 6)), [np.zeros((6, 6)) for _ in range(2)]
+    classes, b_sum, counted = [], np.zeros(6), np.zeros(3)
+    for points, kind in ((corners, kernels.LINE), (surfs, kernels.PLANE)):
+        voxels = VoxelMap(VoxelSettings(levels=2, min_points=5), kind)
+        voxels.insert(points, 0)
+        fits = np.empty((len(points), kernels.GEOMETRY))
+        voxels.match(points, T, 0.5, fits)
+        counted += equations.linearise(fits, points, T, noise, sums[0], b_sum)
+        equations.spurious(fits, points, T, noise, sums[1])
+        classes.append((fits, points))
+    H, b, by_chance = np.full((6, 6), np.nan), np.full(6, np.nan), np.full((6, 6), np.nan)
+    of_corners, of_surfs = classes
+    assert equations.equations(of_corners, of_surfs, T, noise, H, b) == tuple(counted)
+    equations.spurious_of_both(of_corners, of_surfs, T, noise, by_chance)
+    assert counted[0] > 1000
+    np.testing.assert_array_equal(b, b_sum)
+    for whole, upper in ((H, sums[0]), (by_chance, sums[1])):
+        np.testing.assert_array_equal(np.triu(whole), upper)
+        np.testing.assert_array_equal(whole, whole.T)
+
+
+def test_the_doubt_of_keyframes_is_carried_over_as_their_adjoints_say():
+    rng = np.random.default_rng(21)
+    here, poses = se3.exp(rng.normal(size=6)), np.array([se3.exp(rng.normal(size=6)) for _ in range(5)])
+    roots = rng.normal(size=(5, 6, 6))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    mean = np.empty((6, 6))
+    doubts.carried_over(here, poses, covariances, mean)
+    carries = [se3.adjoint(se3.inv(here) @ T) for T in poses]
+    expected = np.mean([C @ P @ C.T for C, P in zip(carries, covariances, strict=True)], axis=0)
+    np.testing.assert_allclose(mean, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_voxels_that_come_take_the_rows_of_those_that_went():
+    rng = np.random.default_rng(22)
+    voxels = VoxelMap(VoxelSettings(levels=1), kernels.PLANE, capacity=1 << 12)
+    for k in range(40):
+        points = rng.uniform(-3, 3, (500, 3)) + [7.0 * k, 0.0, 0.0]
+        voxels.insert(points, k)
+        most = voxels.used
+        voxels.remove(points)
+        assert 300 < most <= 500
+    assert len(voxels.slots) == 1 << 12
+    assert (voxels.keys == -1).all()

@@ -208,6 +208,6 @@ def away(session: LongSession) -> None:
     inserted = set(pipeline.tracker.local_map.keyframes)
     pipeline.keyframes.clouds.keep(set(), below=len(pipeline.keyframes) - NEWEST, fetch=nothing)
     assert pipeline.keyframes.clouds.loaded == NEWEST
-    pipeline._rebuild()
+    pipeline.map_frame.renew(pipeline.tracker, pipeline.keyframes, pipeline.graph.poses)
     assert pipeline.tracker.local_map.keyframes == inserted
     assert session.play(1).off_m < bars.NEW_GROUND_OFF_M

@@ -20,6 +20,6 @@ def test_closeness_equals_its_naive_twin():
     poses = np.array([np.eye(4), se3.exp(np.array([0, 0, 0.1, 0.2, 0.1, 0])), ELSEWHERE])
     for points, voxels in ((seen[0], local_map.surfs), (seen[1], local_map.corners)):
         scores, v = np.zeros(3), voxels.settings
-        kernels.closeness(voxels.keys, voxels.geometry, points, poses, v.voxel_m, v.levels, 0.5, scores)
+        kernels.closeness(voxels.slots, voxels.geometry, points, poses, v.voxel_m, v.levels, 0.5, scores)
         np.testing.assert_allclose(scores, closeness(voxels, points, poses, 0.5), rtol=1e-9)
         assert scores[0] > 1.2 * scores[2] > 0

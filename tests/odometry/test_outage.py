@@ -177,14 +177,33 @@ def test_a_scan_of_too_few_points_is_carried_by_the_imu_and_counted(points: int)
     assert np.trace(reply.covariance) > np.trace(before.covariance)
 
 
-def test_poses_of_a_robot_that_is_lost_are_nothing_to_match_against():
+def test_a_robot_that_is_looked_for_from_its_first_scan_on_goes_by_its_own_odometry():
     outages = Outages(OdometrySettings())
+    replies, place = [], se3.exp(np.array([0.0, 0.0, 1.0, 5.0, -3.0, 0.0]))
     for seq in range(1, KNOWN + 1):
-        outages.on_frame(frame(seq))
-        reply = answer(seq)
-        object.__setattr__(reply, "state", LOST)
-        outages.on_answer(reply)
-    assert alone(outages) == []
+        replies += outages.on_frame(frame(seq))
+        told, correction = outages.on_answer(replace(answer(seq, place), state=LOST))
+        assert correction is None
+    assert outages.alone
+    assert [reply.seq for reply in replies] == list(range(2, KNOWN + 1))
+    assert {reply.state for reply in replies} == {LOST}  # whoever plans with it is told
+    T_first = steady(replies[0]) @ se3.inv(pose(2))
+    ends = [float(np.linalg.norm((se3.inv(T_first @ pose(r.seq)) @ steady(r))[:3, 3])) for r in replies]
+    assert max(ends) < 2 * bars.EDGE_ODOMETRY_M
+    outages.on_frame(frame(KNOWN + 1))
+    told, correction = outages.on_answer(answer(KNOWN + 1, place))  # found
+    assert not outages.alone
+    assert correction is None
+    np.testing.assert_allclose(steady(told), T_first @ pose(KNOWN + 1), atol=2 * bars.EDGE_ODOMETRY_M)
+
+
+def test_a_robot_that_was_known_and_is_lost_is_not_matched_against_where_it_was():
+    outages = Outages(OdometrySettings())
+    connected(outages)
+    for seq in range(KNOWN + 1, KNOWN + SILENT):
+        assert outages.on_frame(frame(seq)) == []
+        outages.on_answer(replace(answer(seq), state=LOST))
+    assert not outages.alone
 
 
 def test_switched_off_it_does_nothing():

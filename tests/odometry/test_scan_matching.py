@@ -8,7 +8,9 @@ import pytest
 from edge_agent.odometry.ring import Ring, even_shares
 from edge_agent.odometry.scan_matching import Outcome, Placement, ScanMatching
 from edge_agent.odometry.settings import OdometrySettings
+from map_service.processes import resident_bytes
 from splitslam import se3
+from tests import tolerances as bars
 from tests.odometry.made import NO_AXES, RNG, frame, pose
 
 SETTINGS = OdometrySettings(keyframes=4)
@@ -78,3 +80,24 @@ def test_shares_are_even_and_no_more_than_asked_for():
     assert len(rows[1]) / len(made.surfs) == pytest.approx(len(rows[0]) / len(made.corners), rel=0.03)
     whole = even_shares((made.corners, made.surfs), 10_000)
     np.testing.assert_array_equal(whole[1], np.arange(len(made.surfs)))
+
+
+def test_the_first_scan_takes_memory_for_what_is_in_the_map_and_not_for_what_there_is_room_for():
+    settings = OdometrySettings()
+    ring = Ring(settings.keyframes, 0, settings.keyframe_points)
+    for seq in range(1, 31):
+        ring.add(frame(seq, points=3000), pose(seq), np.eye(6) * 1e-6)
+    throwaway = ScanMatching(settings, ring, redeskew=True, room=1 << 12)  # scratch arrays, kernels
+    throwaway.start(at(30))
+    throwaway.place(frame(31))
+    matching = ScanMatching(settings, ring, redeskew=True)
+    grown, before = [], resident_bytes()
+    matching.start(at(30))
+    for seq in range(31, 61):
+        placed = matching.place(frame(seq))
+        assert placed.outcome == Outcome.PLACED
+        grown.append(resident_bytes() - before)
+    room = matching._local_map.surfs.moments.nbytes + matching._local_map.surfs._geometry.nbytes
+    assert room > 5 * bars.OUTAGE_MAP_BYTES
+    assert grown[0] < bars.OUTAGE_MAP_BYTES
+    assert grown[-1] < 2 * bars.OUTAGE_MAP_BYTES
