@@ -28,7 +28,7 @@ def join(settings: GraphSettings, stop: threading.Event) -> Graph:
         return RclpyGraph(settings)
     if importlib.util.find_spec("cyclonedds") is None:
         raise InputError("ros2: neither rclpy nor cyclonedds is there: expected a sourced ROS 2, or splitslam[ros2]")
-    from edge_agent.ros.dds import DdsGraph
+    from edge_agent.ros.dds.graph import DdsGraph
 
     return DdsGraph(settings)
 

@@ -21,7 +21,7 @@ from cyclonedds.util import duration
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores
 
-from edge_agent.ros.dds_types import raw_type
+from edge_agent.ros.dds.types import raw_type
 from edge_agent.sources.bag import typestore
 
 _LISTENERS_S = 60.0

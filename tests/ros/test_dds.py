@@ -20,8 +20,8 @@ from cyclonedds.topic import Topic
 
 from edge_agent.ros import connect
 from edge_agent.ros.codec import Codec
-from edge_agent.ros.dds import DdsGraph
-from edge_agent.ros.dds_types import raw_type, ros_type_name
+from edge_agent.ros.dds.graph import DdsGraph
+from edge_agent.ros.dds.types import raw_type, ros_type_name
 from edge_agent.ros.graph import RELIABLE, SAMPLES, STATIC, Delivery
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError

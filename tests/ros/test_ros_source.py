@@ -25,7 +25,9 @@ from tests.sources.robots import RIGID, robot
 CLOUDS, SAMPLES, FIXES, WHEELS = "/points_raw", "/imu_raw", "/gps/fix", "/wheel/odom"
 TYPES = {CLOUDS: made.CLOUD, SAMPLES: made.IMU, FIXES: made.FIX, WHEELS: made.ODOMETRY}
 FRAMES = {CLOUDS: "velodyne", SAMPLES: "imu_link", FIXES: "antenna"}
-PLACED = robot_from_yaml(f"lidar: {{beam_elevations_deg: [-10, 0, 10]}}\n{RIGID}\nT_body_lidar: {RIGID.split(': ')[1]}\n")
+PLACED = robot_from_yaml(
+    f"lidar: {{beam_elevations_deg: [-10, 0, 10]}}\n{RIGID}\nT_body_lidar: {RIGID.split(': ')[1]}\n"
+)
 EDGES = [
     ("base_link", "velodyne", se3.compose(se3.so3_exp(np.array([0.0, 0.1, 0.0])), np.array([0.2, 0.0, 0.5]))),
     ("base_link", "imu_link", se3.compose(se3.so3_exp(np.array([0.0, 0.0, np.pi])), np.array([-0.1, 0.0, 0.1]))),

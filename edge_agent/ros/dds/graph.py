@@ -31,7 +31,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from edge_agent.ros.codec import Codec
-from edge_agent.ros.dds_types import raw_type, ros_type_name
+from edge_agent.ros.dds.types import raw_type, ros_type_name
 from edge_agent.ros.graph import Delivery, Receive, Send
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
