@@ -1,6 +1,7 @@
 """Run in a fresh interpreter: imports every module of one side with all other installed packages hidden.
 
-argv: JSON {packages, without, allowed}. Prints JSON {modules, files}: all that was loaded, and the files of ours among it.
+argv: JSON {packages, without, allowed}.
+Prints JSON {modules, files}: all that was loaded, and the files of ours among it.
 """
 
 from __future__ import annotations
