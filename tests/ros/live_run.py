@@ -45,7 +45,7 @@ def live_run(
     listener: Sequence[str],
     environment: Mapping[str, str],
     of_player: Mapping[str, str] | None = None,
-    timeout_s: float = 40.0,
+    timeout_s: float = 120.0,
 ) -> LiveRun:
     """The agent runs to its end (its source must have one); then the others are ended.
 
