@@ -31,7 +31,8 @@ DROP_REASONS = (
     # a pose, for a reader of the feed
     "feed_slow_reader",
     # messages of a ROS graph: from it, to it
-    *("ros_lost", "ros_inbox_full", "ros_queue_full", "ros_not_sent", "ros_no_odom"),
+    *("ros_lost", "ros_scan_missing", "ros_imu_missing", "ros_inbox_full"),
+    *("ros_queue_full", "ros_not_sent", "ros_no_odom"),
 )
 BREAKS = (
     *("no_welcome", "silent", "unanswered", "drain", "refused", "ended_by_server"),

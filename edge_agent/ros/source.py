@@ -13,6 +13,7 @@ from edge_agent.ros.connect import join
 from edge_agent.ros.extrinsics import Extrinsics
 from edge_agent.ros.graph import SAMPLES, SCANS, STATIC, Graph
 from edge_agent.ros.inbox import Inbox, RawMessage
+from edge_agent.ros.missing import Missing
 from edge_agent.ros.patience import Patience
 from edge_agent.ros.sensors import SensorSearch
 from edge_agent.ros.settings import GraphSettings, RosSettings
@@ -42,7 +43,7 @@ def open_ros(settings: GraphSettings, ros: RosSettings, robot: Robot, stop: thre
 class RosSource:
     """Source: the robot's sensors in a graph. What comes while the agent starts waits, and is not lost.
 
-    graph: for the output as well. dropped: includes what the middleware says that it has lost.
+    graph: for the output as well. dropped: includes what the middleware says that it has lost, and what never came.
     """
 
     def __init__(
@@ -73,6 +74,8 @@ class RosSource:
         self.beam_elevations_rad = self._decoding.beam_elevations_rad
         self.notes = [*sensors.notes, *extrinsics.notes, *self._decoding.notes]
         self._streams: dict[str, RawStream] = {}
+        even = {"lidar": "ros_scan_missing", "imu": "ros_imu_missing"}
+        self._missing = {t: Missing(even[s], self.dropped) for s, t in self.topics.items() if s in even}
 
     def events(self) -> Iterator[TimedEvent | None]:
         """As Source says; ends when nothing has come for `end_after_s`."""
@@ -111,7 +114,10 @@ class RosSource:
                 self._heard_s[section] = message.arrival_ns * 1e-9
         if self.tap is not None:
             self.tap(self._stream(message.topic), arrival_ns, message.raw)
-        event = self._decoding.event(message.topic, self._decoded(message))
+        record = self._decoded(message)
+        if message.topic in self._missing and not isinstance(record, DataError):
+            self._missing[message.topic].saw(stamp_ns(record.header))
+        event = self._decoding.event(message.topic, record)
         return None if event is None else (arrival_ns, event)
 
     def _decoded(self, message: RawMessage) -> Any:

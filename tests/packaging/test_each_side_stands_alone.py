@@ -88,7 +88,9 @@ def _closure(roots: list[str]) -> set[str]:
 @cache
 def _allowed(*extras: str | None) -> frozenset[str]:
     project = _project()
-    roots = sum((project["optional-dependencies"][extra] for extra in extras if extra), project["dependencies"])
+    roots = list(project["dependencies"])
+    for extra in filter(None, extras):
+        roots += project["optional-dependencies"][extra]
     return frozenset({*_closure(roots), "splitslam"})
 
 

@@ -1,6 +1,6 @@
 """`python -m tests.ros.play_dds BAG SECONDS DOMAIN [OFFER]`: a ROS 1 bag's topics as ROS 2 topics, over CycloneDDS.
 
-OFFER: reliable (default) or best-effort. Waits until somebody listens to LiDAR and IMU, plays at the bag's own pace, and
+OFFER: reliable (default) or best-effort. Waits until somebody listens to LiDAR and IMU, plays at the bag's pace, and
 prints how many messages of each it has sent, as JSON.
 """
 

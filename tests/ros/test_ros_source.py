@@ -306,3 +306,12 @@ def test_several_lidars_and_none_usual_must_be_told_apart():
     graph.there = {"/front": made.CLOUD, "/rear": made.CLOUD}
     with pytest.raises(InputError, match=r"^a graph: lidar.topic: must be given, one of: /front, /rear$"):
         source(graph, wait_s=None)
+
+
+def test_scans_that_never_come_are_counted_by_the_gap_that_they_leave():
+    graph = Robot()
+    live = source(graph)
+    for k in [*range(1, 30), *range(33, 60)]:
+        graph.publish(CLOUDS, k)
+    events(live)
+    assert live.dropped == {"ros_scan_missing": 3}

@@ -6,6 +6,7 @@ graph is the DDS domain $ROS_DOMAIN_ID (design.ros2.org, "Topic and Service name
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from collections import Counter
@@ -35,7 +36,9 @@ from edge_agent.ros.dds.types import raw_type, ros_type_name
 from edge_agent.ros.graph import Delivery, Receive, Send
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
+from splitslam.logs import fields
 
+_log = logging.getLogger(__name__)
 _PREFIX = "rt/"
 _TAKE = 256  # samples at a time
 _UNREAD = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -107,7 +110,10 @@ class DdsGraph:
     # --- messages -----------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, msgtype: str, delivery: Delivery, receive: Receive) -> None:
-        qos = _qos(delivery, reliable=not delivery.sensor or self._is_reliable(topic))
+        reliable = not delivery.sensor or self._is_reliable(topic)
+        if not reliable:
+            _log.info("best effort: what is lost on the way is not sent again", extra=fields(topic=topic))
+        qos = _qos(delivery, reliable)
         listener = Listener(on_sample_lost=lambda _, status: self._on_lost(status.total_count_change))
         reader = DataReader(self._participant, self._topic(topic, msgtype), qos, listener)
         condition = ReadCondition(reader, _UNREAD)
