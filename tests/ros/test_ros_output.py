@@ -138,7 +138,7 @@ def test_odometry_has_the_base_in_odom_and_its_speed_in_the_base(stage: Stage):
 
 
 def test_the_covariance_of_the_pose_is_about_the_axes_of_odom_translation_first(stage: Stage):
-    stage.output().publish(poses(0, 20))
+    stage.output().publish(poses(700, 20))  # after a radian
     sent = stage.graph.sent["/splitslam/odometry"]
     eventually(lambda: bool(sent))
     stated = sent[0].pose.covariance.reshape(6, 6)
