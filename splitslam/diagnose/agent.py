@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 import urllib.error
 import urllib.request
@@ -129,7 +130,7 @@ def collect(folder: AgentFolder, bundle: Bundle, name: str, logs: Sequence[Path]
     found += [_kernels(folder), *_state(folder, bundle, name), *_network(folder)]
     metrics = folder.about.get("metrics")
     if metrics:
-        found.append(fetch_metrics(metrics, bundle, name))
+        found += fetch_metrics(metrics, bundle, name)
     found.append(_logs(bundle, name, logs))
     if raw:
         found += _raw(folder, bundle, name, _robot(robot_file))
@@ -215,15 +216,28 @@ def _network(folder: AgentFolder) -> list[Check]:
     return [*found, *certificate(connector), service_health("service answers", server, connector)]
 
 
-def fetch_metrics(url: str, bundle: Bundle, name: str) -> Check:
-    """A snapshot of /metrics."""
+def fetch_metrics(url: str, bundle: Bundle, name: str) -> list[Check]:
+    """A snapshot of /metrics, and what it says of live sensors' clocks."""
     try:
         with urllib.request.urlopen(url, timeout=_FETCH_S) as answer:
             text = answer.read().decode(errors="replace")
     except (OSError, ValueError) as error:
-        return Check("metrics", Verdict.FAIL, f"{url}: {getattr(error, 'reason', error)}; expected an agent there")
+        return [Check("metrics", Verdict.FAIL, f"{url}: {getattr(error, 'reason', error)}; expected an agent there")]
     bundle.text(f"{name}/metrics.txt", text)
-    return Check("metrics", Verdict.OK, f"{url}: {sum(not line.startswith('#') for line in text.splitlines())} series")
+    series = sum(not line.startswith("#") for line in text.splitlines())
+    return [Check("metrics", Verdict.OK, f"{url}: {series} series"), *sensor_clocks(text)]
+
+
+def sensor_clocks(page: str) -> list[Check]:
+    """Whose time live sensors are stamped in; none without live sensors, or before they have been heard."""
+    chosen = dict(re.findall(r'^splitslam_edge_sensor_clock\{sensor="(\w+)",taken_from="(\w+)"\} 1\.0$', page, re.M))
+    if not chosen:
+        return []
+    wrong = re.findall(r"^splitslam_edge_sensor_clock_problems (\S+)$", page, re.M)
+    text = ", ".join(f"{sensor} by {taken_from}" for sensor, taken_from in chosen.items())
+    if wrong and float(wrong[0]):
+        return [Check("sensor clocks", Verdict.WARN, f"{text}; see `sensor clocks disagree` in the log")]
+    return [Check("sensor clocks", Verdict.OK, text)]
 
 
 def _logs(bundle: Bundle, name: str, files: Sequence[Path]) -> Check:

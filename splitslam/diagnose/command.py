@@ -94,7 +94,7 @@ def _edges(
     }
     for name, url in zip(names[len(folders) :], urls, strict=True):
         url = url if url.rstrip("/").endswith("/metrics") else f"{url.rstrip('/')}/metrics"
-        found[name] = [fetch_metrics(url, bundle, name)]
+        found[name] = fetch_metrics(url, bundle, name)
     return found
 
 

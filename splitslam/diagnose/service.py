@@ -34,5 +34,5 @@ def learn_and_collect(file: Path, bundle: Bundle, name: str) -> list[Check]:
     port = config.listen.rpartition(":")[2]
     found = [store, checks.reachable("map service", "127.0.0.1", int(port))]
     if config.metrics.port:
-        found.append(fetch_metrics(f"http://{config.metrics.host}:{config.metrics.port}/metrics", bundle, name))
+        found += fetch_metrics(f"http://{config.metrics.host}:{config.metrics.port}/metrics", bundle, name)
     return found

@@ -26,7 +26,7 @@ class Node:
 def test_what_an_agent_before_has_done_is_left_out_and_the_samples_that_level_the_robot_are_not():
     after = StartAfter(seq=3, stamp_ns=30 * SCAN_NS)
     events = [(k, event) for k in range(60) for event in (imu_at(k * SCAN_NS), scan(k), fix(k))]
-    own = [event for _, event in after.events(iter(events))]
+    own = [timed[1] for timed in after.events(iter(events)) if timed is not None]
     assert [event.stamp_ns // SCAN_NS for event in own if isinstance(event, Scan)] == list(range(31, 60))
     assert after.skipped == 31
     assert min(int(e.stamps_ns[0]) // SCAN_NS for e in own if isinstance(e, ImuSamples)) == 26
@@ -36,7 +36,7 @@ def test_what_an_agent_before_has_done_is_left_out_and_the_samples_that_level_th
 def test_a_live_sensors_clock_that_was_set_back_between_two_agents_costs_no_scan():
     after = StartAfter(seq=3, stamp_ns=30 * SCAN_NS, live=True)
     events = [(k, event) for k in range(10) for event in (imu_at(k * SCAN_NS), scan(k))]
-    own = [event for timed in after.events(iter([None, *events])) if timed is not None for event in timed[1:]]
+    own = [timed[1] for timed in after.events(iter([None, *events])) if timed is not None]
     stamps_ns = [event.stamp_ns for event in own if isinstance(event, Scan)]
     assert stamps_ns == [30 * SCAN_NS + 10**9 + k * SCAN_NS for k in range(10)]
     samples_ns = [int(event.stamps_ns[0]) for event in own if isinstance(event, ImuSamples)]

@@ -18,6 +18,10 @@ from typing import Any
 import pytest
 import yaml
 
+from edge_agent.metrics import EdgeMetrics
+from edge_agent.sources.live.clock import RunClock, TimeBase
+from splitslam.diagnose.agent import sensor_clocks
+from splitslam.diagnose.checks import Verdict
 from splitslam.pcap import datagrams
 from splitslam.replay import send
 from tests.e2e.commands import BIN
@@ -131,6 +135,18 @@ def test_a_velodyne_on_the_wire_is_mapped_its_silence_is_said_and_a_signal_ends_
     said = [json.loads(line) for line in agent.log.read_text().splitlines() if line.startswith("{")]
     chosen = [line for line in said if line["event"] == "sensor clock chosen"]
     assert [(line["sensor"], line["taken_from"]) for line in chosen] == [("lidar", "gps")]
+
+
+def test_diagnose_says_whose_time_the_sensors_are_in():
+    clocks = RunClock("gps", 0.05, ["lidar"])
+    for k in range(300):
+        clocks.clock("lidar").heard(k * 10_000_000, k * 10_000_000, TimeBase.OWN)
+        clocks.ready(clocks.clock("lidar"), k * 10_000_000)
+    metrics = EdgeMetrics()
+    assert sensor_clocks(metrics.page()) == []
+    metrics.live_from(dict, dict, clocks)
+    (found,) = sensor_clocks(metrics.page())
+    assert (found.verdict, found.text.partition(";")[0]) == (Verdict.WARN, "lidar by host")
 
 
 def test_the_agents_of_the_guide_are_configured_as_it_says(tmp_path: Path):

@@ -87,6 +87,16 @@ def test_garbage_broken_packets_and_chance_sync_bytes_cost_nothing_but_themselve
     assert feed.counts["checksum"] >= 3
 
 
+@pytest.mark.parametrize("place", [3, 9, -2, -1], ids=["length", "data", "first sum", "second sum"])
+def test_a_byte_that_is_wrong_anywhere_costs_its_packet_alone(place: int):
+    packets = [mip_sample(reference_ns=k) for k in range(3)]
+    broken = bytearray(packets[1])
+    broken[place] ^= 1
+    feed = made_feed()
+    assert fed(feed, [packets[0] + bytes(broken) + packets[2] + bytes(300)]).stamps_ns.tolist() == [0, 2]
+    assert feed.counts["checksum"] == 1
+
+
 def test_a_stream_of_noise_ends_nothing_and_is_counted():
     feed = made_feed()
     noise = random.Random(1).randbytes(200_000)

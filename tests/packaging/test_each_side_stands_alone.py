@@ -19,7 +19,7 @@ from tests.conftest import ROOT
 from tests.packaging.probe import canonical, owners
 
 # Packages that some machine has and no extra can promise; importing them is guarded where it happens.
-OPTIONAL = {"pynq"}
+OPTIONAL = {"pynq", "ouster"}
 
 
 @dataclass(frozen=True)

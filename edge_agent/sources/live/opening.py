@@ -69,7 +69,7 @@ class _Opening:
         self._imu()
         self._gnss()
         robot = self._robot()
-        presence = Presence(list(self.topics), self.config.silent_s, self.arrivals.now_ns())
+        presence = Presence(list(self.topics), self.config.silent_s)
         return LiveSource(
             robot,
             self.topics,

@@ -13,12 +13,16 @@ _log = logging.getLogger(__name__)
 class Presence:
     """When each sensor was last heard. losses: how often each has fallen silent."""
 
-    def __init__(self, sensors: Sequence[str], silent_s: float, now_ns: int) -> None:
+    def __init__(self, sensors: Sequence[str], silent_s: float) -> None:
         self._silent_ns = round(silent_s * 1e9)
-        self._heard_ns = dict.fromkeys(sensors, now_ns)
+        self._heard_ns = dict.fromkeys(sensors, 0)
         self._never = set(sensors)
         self._silent: set[str] = set()
         self.losses = dict.fromkeys(sensors, 0)
+
+    def begin(self, now_ns: int) -> None:
+        """From now on somebody listens."""
+        self._heard_ns = dict.fromkeys(self._heard_ns, now_ns)
 
     def heard(self, sensor: str, arrival_ns: int) -> None:
         """A message of it that can be used."""

@@ -77,6 +77,7 @@ class LiveSource:
     def events(self) -> Iterator[TimedEvent | None]:
         """See Source."""
         self._raw = None if self.tap is None else RawMessages(self.tap)
+        self.presence.begin(self._arrivals.now_ns())
         with self._lock:
             self._begun = True
         try:
