@@ -1,6 +1,6 @@
 """Who may do what: robots their own sessions, operators those of their site. Nobody else anything.
 
-| caller | EdgeService.Stream | Get, Trajectory, StreamMap | List | Delete |
+| caller | EdgeService.Stream | Get, Trajectory, StreamMap, PoseService | List | Delete |
 |---|---|---|---|---|
 | robot | as itself, at its site | its own sessions | | |
 | operator of a site | | of the site | of the site | of the site |
@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from map_service.callers import Caller, DeniedError
+from map_service.following import Scope
 from splitslam.wire import session_pb2 as pb
 
 ROUTE_KEY = "splitslam-route-key"
@@ -48,6 +49,21 @@ def check_operator(caller: Caller, site_id: str) -> str:
     if who.site and site_id not in ("", who.site):
         raise DeniedError("other_site", f"site {site_id[:80]!r}: {who} is of another")
     return site_id or who.site
+
+
+def check_follower(caller: Caller, scope: Scope) -> Scope:
+    """The sessions of a scope that the caller may follow. Raises DeniedError for a robot or site that it may not.
+
+    Sessions that are named are each asked about as any reader's.
+    """
+    who = caller.identity
+    if who is None or who.role != "robot":
+        return Scope(scope.session_ids, scope.robot_ids, check_operator(caller, scope.site_id))
+    if scope.site_id not in ("", who.site):
+        raise DeniedError("other_site", f"site {scope.site_id[:80]!r}: {who} is of another")
+    for robot_id in scope.robot_ids:
+        check_reader(caller, robot_id, None)
+    return Scope(scope.session_ids, frozenset({who.name}), scope.site_id)
 
 
 def check_reader(caller: Caller, robot_id: str, site_id: str | None) -> None:

@@ -65,6 +65,16 @@ class LimitsConfig(Model):
     stall_s: float = Field(default=30.0, gt=0, description="the same for one that works on a single job this long")
 
 
+class WatchConfig(Model):
+    """Calls that follow sessions, WatchPoses and Events (docs/api.md)."""
+
+    most: int = Field(default=32, ge=1, description="at a time, of all callers")
+    every_s: float = Field(default=0.5, gt=0, le=1.0, description="how often each asks the store for what is new")
+    backlog_scans: int = Field(
+        default=3000, ge=100, description="scans of a session that wait for a slow reader; older ones are left out"
+    )
+
+
 class ReplicaConfig(Model):
     """How this service lives with others on the same store (map_service/membership.py)."""
 
@@ -126,6 +136,7 @@ class ServiceConfig(Model):
     metrics: MetricsConfig = MetricsConfig()
     log: LogConfig = LogConfig()
     limits: LimitsConfig = LimitsConfig()
+    watch: WatchConfig = WatchConfig()
     commit: CommitConfig = CommitConfig()
     replica: ReplicaConfig = ReplicaConfig()
     advice: AdviceConfig = AdviceConfig()

@@ -76,13 +76,14 @@ def map_pieces(keyframes: Iterable[StoredKeyframe], voxel_m: float) -> Iterator[
         T = keyframe.T_map_lidar
         points = points_lidar.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
         if voxel_m > 0:
-            kept = _first_in_voxel(points, voxel_m, taken)
+            kept = first_in_voxel(points, voxel_m, taken)
             points, intensity = points[kept], intensity[kept]
         piece = np.column_stack([points, intensity]).astype("<f4")
         yield MapPiece(keyframe.index, T, piece)
 
 
-def _first_in_voxel(points: NDArray[np.float64], voxel_m: float, taken: set[int]) -> NDArray[np.intp]:
+def first_in_voxel(points: NDArray[np.float64], voxel_m: float, taken: set[int]) -> NDArray[np.intp]:
+    """Which of the points (N, 3) m are the first in their voxel; `taken` remembers voxels between calls."""
     cells = np.floor(points / voxel_m).astype(np.int64) + _OFFSET
     keys, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
     new = np.array([key not in taken for key in keys.tolist()], dtype=bool)

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from google.protobuf.message import DecodeError as WireError
 from sqlalchemy import Connection, Executable, Row, select
 
 from map_service import migrations, schema
 from map_service.cloud import decode_cloud
+from map_service.history import unpack_poses
 from map_service.store import Store
 from splitslam.errors import DataError
+from splitslam.wire import pose_pb2 as pb
 
 _POSE_BYTES = 56
 _ROWS = 1000
@@ -58,6 +61,8 @@ def _session(connection: Connection, row: Row, since_s: float, seen: Seen) -> It
     yield from _frames(connection, row, keyframes, row.opened_s >= since_s, counts)
     yield from _factors(connection, row.id, len(keyframes), counts)
     yield from _places(connection, row.id, keyframes)
+    yield from _versions(connection, row, len(keyframes))
+    yield from _events(connection, row)
     for name, counted in counts.items():
         if counted != getattr(row, name):
             yield f"{counted} {name.replace('_', ' ')}, its row says {getattr(row, name)}"
@@ -137,6 +142,43 @@ def _places(connection: Connection, key: int, keyframes: set[int]) -> Iterator[s
     for (index,) in connection.execute(select(t.c.keyframe).where(t.c.session == key).order_by(t.c.keyframe)):
         if index not in keyframes:
             yield f"place {index} belongs to no keyframe"
+
+
+def _versions(connection: Connection, row: Row, keyframes: int) -> Iterator[str]:
+    t = schema.map_versions
+    query = select(t.c.version, t.c.first_seq, t.c.poses).where(t.c.session == row.id).order_by(t.c.version)
+    versions, last = [], 0
+    for version, first_seq, poses in _rows(connection, query, _CLOUDS):
+        versions.append(version)
+        if first_seq < last:
+            yield f"map version {version} begins before the one before it"
+        last = first_seq
+        if poses is not None and (problem := _problem(unpack_poses, poses)):
+            yield f"map version {version}: {problem}"
+        elif poses is not None and len(unpack_poses(poses)) > keyframes:
+            yield f"map version {version} has keyframes that are not there"
+    if versions != list(range((row.map_version or 1) - len(versions) + 1, (row.map_version or 1) + 1)):
+        yield f"map versions {versions[:1]} to {versions[-1:]}, its row says {row.map_version or 1}"
+
+
+def _events(connection: Connection, row: Row) -> Iterator[str]:
+    t = schema.events
+    query = select(t.c.number, t.c.content).where(t.c.session == row.id).order_by(t.c.number)
+    numbers = []
+    for number, content in _rows(connection, query):
+        numbers.append(number)
+        if problem := _problem(_event, content):
+            yield f"event {number}: {problem}"
+    if numbers != list(range((row.events or 0) - len(numbers) + 1, (row.events or 0) + 1)):
+        yield f"events {numbers[:1]} to {numbers[-1:]}, its row says {row.events or 0}"
+
+
+def _event(content: bytes) -> pb.Event:
+    """Raises DataError. What a later program wrote reads as an event of an unknown kind."""
+    try:
+        return pb.Event.FromString(content)
+    except WireError as error:
+        raise DataError("corrupt", str(error)) from None
 
 
 def _rows(connection: Connection, query: Executable, size: int = _ROWS) -> Iterator[Row]:

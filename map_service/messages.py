@@ -20,12 +20,17 @@ def transform_to_wire(T: np.ndarray) -> types_pb.Transform:
     return types_pb.Transform(tx_m=tx, ty_m=ty, tz_m=tz, qx=qx, qy=qy, qz=qz, qw=qw)
 
 
+def transform_from_wire(m: types_pb.Transform) -> np.ndarray:
+    """Transform -> (4, 4)."""
+    return se3.from_quat(np.array([m.tx_m, m.ty_m, m.tz_m]), np.array([m.qx, m.qy, m.qz, m.qw]))
+
+
 def stamped_pose(seq: int, stamp_ns: int, T: np.ndarray) -> types_pb.StampedPose:
     return types_pb.StampedPose(seq=seq, stamp_ns=stamp_ns, pose=transform_to_wire(T))
 
 
 def odometry(answer: MapAnswer) -> pb.Odometry:
-    """The pipeline's answer; applied_seq, durable_seq and map_version are the session's to fill."""
+    """The pipeline's answer; applied_seq and durable_seq are the session's to fill."""
     message = pb.Odometry(
         seq=answer.seq,
         stamp_ns=answer.stamp_ns,
@@ -35,6 +40,7 @@ def odometry(answer: MapAnswer) -> pb.Odometry:
         state=int(answer.state),  # type: ignore[arg-type]
         degenerate_axes=np.asarray(answer.degenerate_axes, dtype=float).ravel().tolist(),
         keyframe=answer.keyframe,
+        map_version=answer.map_version,
     )
     if answer.correction is not None:
         message.correction.cause = int(answer.correction.cause)  # type: ignore[assignment]

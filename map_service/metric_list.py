@@ -106,6 +106,18 @@ REPLICAS = gauge(
 )
 DRAINING = gauge("splitslam_map_draining", "1 while this replica takes no new streams and shuts down", "A roll-out.")
 
+WATCHERS = gauge(
+    "splitslam_map_watchers",
+    "Calls that follow sessions, by kind",
+    "At `watch.most` more are refused.",
+    Label("call", ("poses", "events")),
+)
+WATCH_DROPPED = counter(
+    "splitslam_map_watch_dropped_scans",
+    "Scans left out for followers that read too slowly",
+    "Rises: one of them hangs, or its network is too slow.",
+)
+
 # --- frames -----------------------------------------------------------------------------------------------------------
 
 FRAMES = counter(

@@ -39,6 +39,7 @@ class ServiceMetrics:
         self.retention, self.retention_bytes = self._family(m.RETENTION), self._family(m.RETENTION_BYTES)
         self.drained, self.draining = self._family(m.DRAINED), self._family(m.DRAINING)
         self.replicas = self._family(m.REPLICAS)
+        self.watchers, self.watch_dropped = self._family(m.WATCHERS), self._family(m.WATCH_DROPPED)
         self._by_name = {
             "frames": self._family(m.FRAMES),
             "rejected": self._family(m.REJECTED),

@@ -1,7 +1,7 @@
 """The version of a store's tables, and the way from one to the next.
 
-A version only ever adds tables and columns that may be missing. So a service of version N works on a store of N and of
-N + 1, and replicas are upgraded one after the other; the other way, what a version added is dropped.
+A version only ever adds tables, indexes and columns that may be missing. So a service of version N works on a store of
+N and of N + 1, and replicas are upgraded one after the other; the other way, what a version added is dropped.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import logging
 import time
 from dataclasses import dataclass
 
-from sqlalchemy import Column, Connection, Engine, Table, delete, func, insert, inspect, select, text, update
+from sqlalchemy import Column, Connection, Engine, Index, Table, delete, func, insert, inspect, select, text, update
 from sqlalchemy.schema import CreateColumn
 
 from map_service import schema
@@ -31,6 +31,7 @@ class Migration:
     version: int
     tables: tuple[Table, ...] = ()
     columns: tuple[Column, ...] = ()
+    indexes: tuple[Index, ...] = ()
 
     def add(self, connection: Connection) -> None:
         for table in self.tables:
@@ -38,8 +39,12 @@ class Migration:
         for column in self.columns:
             defined = CreateColumn(column).compile(dialect=connection.dialect)
             connection.execute(text(f"ALTER TABLE {column.table.name} ADD COLUMN {defined}"))
+        for index in self.indexes:
+            index.create(connection)
 
     def remove(self, connection: Connection) -> None:
+        for index in self.indexes:
+            index.drop(connection)
         for column in self.columns:
             connection.execute(text(f"ALTER TABLE {column.table.name} DROP COLUMN {column.name}"))
         for table in reversed(self.tables):
@@ -47,7 +52,15 @@ class Migration:
 
 
 FIRST = 1  # the oldest version that there is a way from
-MIGRATIONS = (Migration(2, tables=(schema.holes, schema.places), columns=(schema.sessions.c.finished_s,)),)
+MIGRATIONS = (
+    Migration(2, tables=(schema.holes, schema.places), columns=(schema.sessions.c.finished_s,)),
+    Migration(
+        3,
+        tables=(schema.map_versions, schema.events),
+        columns=(schema.sessions.c.map_version, schema.sessions.c.events, schema.frames.c.covariance),
+        indexes=tuple(schema.frames.indexes),
+    ),
+)
 VERSION = MIGRATIONS[-1].version
 
 

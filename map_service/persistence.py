@@ -193,5 +193,7 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
     pipeline.stats.corrections = dict(data["corrections"])
     pipeline.stats.largest_correction_m = float(data["largest_correction_m"])
     pipeline.mapped = snapshot.mapped
+    pipeline.chronicle.frame(snapshot.last_seq, int(data["stamp_ns"]))
+    pipeline.chronicle.resume(snapshot.map_version, pipeline.graph.poses, len(pipeline.graph.data))
     pipeline.log.resume(snapshot, outcomes(pipeline))
     pipeline.fill_local_map()

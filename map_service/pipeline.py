@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from map_service import persistence
+from map_service.chronicle import Chronicle
 from map_service.closing import LoopCloser
 from map_service.clouds import Fetch
 from map_service.fixes import FixPlacer, Passage
@@ -83,6 +84,7 @@ class MapPipeline:
         self.frames: list[FrameRecord] = []  # since the start or the restart, but for what the store has
         self.mapped = 0
         self.stats = PipelineStatistics()
+        self.chronicle = Chronicle(settings.graph)
         self.log = persistence.CommitLog()
 
     def process(self, frame: FeatureFrame, fixes: Sequence[GnssFix] = ()) -> MapAnswer:
@@ -101,6 +103,7 @@ class MapPipeline:
         before = self.tracker.state
         track = self.tracker.process(frame)
         registered = time.perf_counter(), time.thread_time()
+        self.chronicle.frame(frame.seq, frame.stamp_ns)
         self.uncertainty.follow(before, track, frame.motion.covariance, self.keyframes.T_local)
         if track.T_found_carried is not None:
             self._correction = self._found(track, track.T_found_carried)
@@ -179,6 +182,7 @@ class MapPipeline:
         self.tracker.insert(index, track.T_local_lidar, added.cloud.corners_lidar, added.cloud.surfs_lidar)
         self.map_frame.added(index, track.T_local_lidar)
         self.graph.optimise(corrected=False)
+        self.chronicle.keyframe(T_map_lidar)
         self.log.keyframe(added, T_map_lidar)
         if self.closer is not None:
             self.closer.look(frame.seq, self.keyframes, self.graph.poses, self.graph.loops)
@@ -194,6 +198,7 @@ class MapPipeline:
         moved = se3.inv(track.T_local_lidar) @ T_found_carried @ track.T_local_lidar
         correction = CorrectionRecord.of(Cause.RELOCALISE, moved)
         self.stats.correction(correction)
+        self.chronicle.relocalised(self.graph.poses.matrices, correction)
         return correction
 
     def _place_again(self, track: Track) -> None:
@@ -214,16 +219,18 @@ class MapPipeline:
         return Cause.REGISTRATION
 
     def _add_fixes(self, fixes: Sequence[GnssFix], passage: Passage) -> Cause | None:
-        if self._placer is None:
+        if self._placer is None or self.gnss is None:
             return None
         added = self._placer.add(fixes, passage, self.graph, self.ground.reference)
         self.stats.gnss_factors += added
+        self.chronicle.data(self.graph, self.gnss)
         return Cause.GNSS if added else None
 
     def _apply_loops(self, seq: int, everything: bool = False) -> Cause | None:
         if self.closer is None or not self.closer.has_due(seq, everything):
             return None
         admitted = self.closer.due(seq, self._chain(), everything)
+        self.chronicle.loops(admitted, self.graph.poses)
         for a in admitted:
             scale = max(1.0, a.correction_m / self.settings.loops.translation_sigma_m)
             self.graph.add_loop(a.loop.older, a.loop.newer, a.loop.T_older_newer, a.loop.covariance, scale)
@@ -232,7 +239,9 @@ class MapPipeline:
 
     def _correct(self, cause: Cause) -> CorrectionRecord | None:
         """Optimises with the new factors and moves `map` against `local`; the tracker feels nothing."""
+        before = self.graph.poses.matrices.copy()
         self.graph.optimise(corrected=True, far=cause != Cause.GNSS)
+        self.chronicle.corrected(before, self.graph.poses.matrices, cause)
         poses, s = self.graph.poses, self.settings.graph
         moved = self.map_frame.correct(self.ground.reference, self.keyframes, poses)
         self.map_frame.renew_if_bent(self.tracker, self.keyframes, poses)
@@ -267,6 +276,7 @@ class MapPipeline:
             keyframe=keyframe,
             registration_ms=(registered[0] - started[0]) * 1e3,
             effort=effort(track, registered[1] - started[1]),
+            map_version=self.chronicle.map_version,
         )
 
     def finish(self) -> None:
@@ -298,7 +308,8 @@ class MapPipeline:
         """Everything since the previous commit."""
         self.settle()
         places = [] if self.closer is None else self.closer.take_places()
-        return self.log.take(self.graph, persistence.dump(self), places, outcomes(self))
+        commit = self.log.take(self.graph, persistence.dump(self), places, outcomes(self))
+        return replace(commit, happened=self.chronicle.take(), map_version=self.chronicle.map_version)
 
     def stored(self, seq: int, fetch: Fetch) -> None:
         """Frames up to `seq` are in the store, and clouds can be had from there: memory is for what is near."""

@@ -8,13 +8,17 @@ import numpy as np
 from sqlalchemy import BigInteger, Connection, Delete, Table, bindparam, delete, insert, update
 
 from map_service import schema
+from map_service.history import history_bytes
 from map_service.types import Commit
 from splitslam import se3
 from splitslam.errors import DataError
 
 _POSE_BYTES = 7 * 8
 _FAR = 1e12
-_FRAME_ROW_BYTES = 3 * _POSE_BYTES + 40
+_LOWER = np.tril_indices(6)
+_FACTOR_SCALE, _FLOAT16_MAX = 1e3, 65504.0  # sigmas from 6e-11 to 65 rad or m
+_COVARIANCE_BYTES = len(_LOWER[0]) * 2
+_FRAME_ROW_BYTES = 3 * _POSE_BYTES + _COVARIANCE_BYTES + 40
 
 
 def _delete(table: Table) -> Delete:
@@ -56,6 +60,7 @@ class SessionCommit:
     """The pipeline's commit, and what the session itself knows of the same frames.
 
     T_map_odom: (4, 4) by seq, of every frame in `commit`. rejected: (seq, stamp_ns, reason). holes: (seq, follows_seq).
+    covariance: (6, 6) by seq, of those that have one. events: serialised splitslam.v1.Event.
     """
 
     commit: Commit
@@ -64,6 +69,8 @@ class SessionCommit:
     holes: list[tuple[int, int]] = field(default_factory=list)
     statistics: str = ""
     finished: bool = False
+    covariance: dict[int, np.ndarray] = field(default_factory=dict)
+    events: list[bytes] = field(default_factory=list)
 
     @property
     def bytes(self) -> int:
@@ -73,6 +80,7 @@ class SessionCommit:
             + sum(len(f.payload) for f in self.commit.factors)
             + sum(len(descriptor) for _, descriptor in self.commit.places)
             + _FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
+            + history_bytes([h.what for h in self.commit.happened], self.events)
         )
 
 
@@ -93,6 +101,34 @@ def unpack_pose(data: bytes | None) -> np.ndarray:
     return se3.from_quat(values[:3], values[3:])
 
 
+def pack_covariance(covariance: np.ndarray | None) -> bytes | None:
+    """(6, 6) -> 42 bytes: its Cholesky factor's lower triangle in mrad and mm, row by row, little-endian float16.
+
+    None for what is no covariance. A factor, so that rounding cannot make a direction of negative variance.
+    """
+    if covariance is None or not np.isfinite(covariance).all():
+        return None
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:  # known to rounding along some direction
+        variances, axes = np.linalg.eigh(covariance)
+        factor = np.linalg.qr((axes * np.sqrt(np.maximum(variances, 0.0))).T).R.T
+    return np.clip(factor[_LOWER] * _FACTOR_SCALE, -_FLOAT16_MAX, _FLOAT16_MAX).astype("<f2").tobytes()
+
+
+def unpack_covariance(data: bytes | None) -> np.ndarray | None:
+    """42 bytes -> (6, 6), each entry to 2e-3 of its two sigmas. Raises DataError("corrupt")."""
+    if data is None:
+        return None
+    if len(data) != _COVARIANCE_BYTES:
+        raise DataError("corrupt", f"a covariance of {len(data)} bytes")
+    factor = np.zeros((6, 6))
+    factor[_LOWER] = np.frombuffer(data, "<f2").astype(float) / _FACTOR_SCALE
+    if not np.isfinite(factor).all():
+        raise DataError("corrupt", "a covariance without numbers")
+    return factor @ factor.T
+
+
 def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
     """Everything a commit brings; the session's own row has been advanced before."""
     commit = entry.commit
@@ -108,6 +144,7 @@ def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
             "online_map_lidar": pack_pose(f.T_map_lidar_online),
             "online_map_odom": pack_pose(entry.T_map_odom[f.seq]),
             "rejected": "",
+            "covariance": pack_covariance(entry.covariance.get(f.seq)),
         }
         for f in commit.frames
     ] + [
@@ -121,6 +158,7 @@ def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
             "online_map_lidar": None,
             "online_map_odom": None,
             "rejected": reason[:64],
+            "covariance": None,
         }
         for seq, stamp_ns, reason in entry.rejected
     ]

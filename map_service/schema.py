@@ -53,6 +53,9 @@ sessions = Table(
     Column("tracker", LargeBinary, nullable=False),
     Column("statistics", Text, nullable=False),
     Column("finished_s", Float),  # null: not finished, or by a service that did not know it
+    # null: by services that did not know them
+    Column("map_version", Integer),
+    Column("events", BigInteger),  # number of the newest
     Index("sessions_by_site", "site_id"),
     sqlite_autoincrement=True,
 )
@@ -70,6 +73,8 @@ frames = Table(
     Column("online_map_lidar", LargeBinary),
     Column("online_map_odom", LargeBinary),
     Column("rejected", String(64), nullable=False),
+    Column("covariance", LargeBinary),  # of the answer, as rows.pack_covariance has it
+    Index("frames_by_stamp", "session", "stamp_ns"),
 )
 
 keyframes = Table(
@@ -118,4 +123,36 @@ places = Table(
     Column("descriptor", LargeBinary, nullable=False),
 )
 
-SESSION_TABLES = (frames, clouds, keyframes, factors, holes, places)  # all that refers to a session
+# A row for each version of a session's map but the first: which frame began it and why (map_service/map_versions.py).
+# poses: T_map_lidar of all keyframes as the version before ended, 7 float64 each; null: no longer kept.
+map_versions = Table(
+    "map_versions",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("version", Integer, primary_key=True),
+    Column("first_seq", BigInteger, nullable=False),
+    Column("cause", Integer, nullable=False),
+    Column("translation_m", Float, nullable=False),
+    Column("rotation_rad", Float, nullable=False),
+    Column("poses", LargeBinary),
+)
+
+# The newest of each session, numbered 1, 2, 3, ...; content: splitslam.v1.Event.
+events = Table(
+    "events",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("number", BigInteger, primary_key=True),
+    Column("content", LargeBinary, nullable=False),
+)
+
+SESSION_TABLES = (
+    frames,
+    clouds,
+    keyframes,
+    factors,
+    holes,
+    places,
+    map_versions,
+    events,
+)  # all that refers to a session

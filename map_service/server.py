@@ -18,19 +18,22 @@ from map_service.door import Door
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
 from map_service.housekeeping import Housekeeper
+from map_service.live_answers import LiveAnswers
 from map_service.membership import Membership, own_address
 from map_service.metrics import ServiceMetrics
+from map_service.pose_service import PoseFront
 from map_service.processes import leave_out_of_collections
 from map_service.rebalance import Rebalancer
 from map_service.session_service import SessionFront
 from map_service.store import Store
+from map_service.watches import Watches
 from map_service.workers import WorkerPool
 from splitslam.errors import InputError
 from splitslam.logs import configure_logs
 from splitslam.notify import Notifier
-from splitslam.wire import session_pb2_grpc as rpc
+from splitslam.wire import pose_pb2_grpc, session_pb2_grpc
 
-SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService")
+SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService", "splitslam.v1.PoseService")
 _STREAM_GRACE_S = 0.5
 _LEAVE_S = 1.0
 
@@ -54,11 +57,14 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     store = Store(config.store, config.store_wait_s)
     metrics = ServiceMetrics(config)
-    pool = WorkerPool(config, engine, metrics)
+    live = LiveAnswers()
+    pool = WorkerPool(config, engine, metrics, live)
     door = Door(config.tls, metrics)
     front = EdgeFront(config, pool, metrics, door.callers)
     sessions = SessionFront(store, pool, door.callers, metrics)
-    server, checks, address = _build(config, front, sessions, door)
+    watches = Watches(config.watch, door.callers, metrics)
+    poses = PoseFront(store, watches, live)
+    server, checks, address = _build(config, front, sessions, poses, door)
     page = metrics.serve(config.metrics.host, config.metrics.port)
     local = _health_only(config.health_socket, checks)
     try:
@@ -92,6 +98,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         await _set_health(checks, health_pb2.HealthCheckResponse.NOT_SERVING)
         rebalancing.cancel()
         front.drain(membership.peers)
+        watches.drain()
         await asyncio.gather(pool.drain(), asyncio.to_thread(membership.leave, _LEAVE_S))
         await server.stop(_STREAM_GRACE_S)
         living.cancel()
@@ -99,6 +106,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
             await local.stop(None)
     finally:
         pool.kill()
+        watches.close()
         store.close()
         if page:
             page.close()
@@ -118,7 +126,7 @@ def _shared(config: ServiceConfig, store: Store) -> bool:
 
 
 def _build(
-    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, door: Door
+    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, poses: PoseFront, door: Door
 ) -> tuple[grpc.aio.Server, Any, str]:
     server = grpc.aio.server(
         options=[
@@ -130,7 +138,8 @@ def _build(
         ]
     )
     server.add_generic_rpc_handlers((front.handler(),))
-    rpc.add_SessionServiceServicer_to_server(sessions, server)
+    session_pb2_grpc.add_SessionServiceServicer_to_server(sessions, server)
+    pose_pb2_grpc.add_PoseServiceServicer_to_server(poses, server)
     checks = HealthServicer()
     health_pb2_grpc.add_HealthServicer_to_server(checks, server)
     if not config.tls.on:  # whoever needs the contract behind a door has it from proto/

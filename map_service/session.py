@@ -16,6 +16,7 @@ from map_service import messages
 from map_service.accounts import SessionAccounts
 from map_service.channel import RobotStanding
 from map_service.commits import CommitLog
+from map_service.diary import Diary
 from map_service.engine import Engine, Pipeline
 from map_service.hello import WIRE_VERSION, SessionRequest
 from map_service.rows import SessionCommit
@@ -67,6 +68,8 @@ class Session:
         self._last_stamp_ns = 0
         self._covariance = np.full((6, 6), np.nan)
         self._new_T_map_odom: dict[int, np.ndarray] = {}
+        self._new_covariance: dict[int, np.ndarray] = {}
+        self._diary = Diary()
         self._new_rejected: list[tuple[int, int, str]] = []
         self._new_holes: list[tuple[int, int]] = []
         self._tracker = b""
@@ -187,10 +190,11 @@ class Session:
             self._tally.count("gnss", "unusable", by=unusable)
         result = self._pipeline.answer(features, fixes)
         answer = messages.odometry(result)
+        self._diary.answered(result, self.state)
         self.state = result.state
         self._T_map_odom = self._new_T_map_odom[frame.seq] = result.T_map_odom
         self._poses.append(types_pb.StampedPose(seq=frame.seq, stamp_ns=frame.stamp_ns, pose=answer.pose_map_lidar))
-        self._covariance = result.covariance
+        self._covariance = self._new_covariance[frame.seq] = result.covariance
         self._tally.mapped(result)
         return answer
 
@@ -251,8 +255,9 @@ class Session:
             self._tracker = commit.tracker
         else:
             commit = Commit(previous, last, [], [], [], [], self._tracker)
-        entry = SessionCommit(commit, self._new_T_map_odom, self._new_rejected, self._new_holes, statistics, finished)
-        self._new_T_map_odom, self._new_rejected, self._new_holes = {}, [], []
+        news = self._new_T_map_odom, self._new_rejected, self._new_holes, statistics, finished, self._new_covariance
+        entry = SessionCommit(commit, *news, self._diary.take(commit, self._last_stamp_ns, finished=finished))
+        self._new_T_map_odom, self._new_covariance, self._new_rejected, self._new_holes = {}, {}, [], []
         return entry
 
 

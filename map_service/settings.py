@@ -107,6 +107,8 @@ class GraphSettings(Model):
     rebuild_points: int = Field(default=100_000, description="that go into a map that is made anew after one scan")
     report_m: float = 0.001
     report_rad: float = 0.0002
+    version_m: float = Field(default=0.01, gt=0, description="so far a keyframe moves until the map has a new version")
+    version_rad: float = Field(default=0.002, gt=0, description="the same for its rotation")
 
 
 class LevelSettings(Model):

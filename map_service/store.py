@@ -19,7 +19,9 @@ from sqlalchemy.exc import IntegrityError
 from map_service import schema
 from map_service.clouds import CloudsAwayError
 from map_service.database import StoreError, open_engine, reading, store_errors
-from map_service.rows import SessionCommit, insert_rows, unpack_pose
+from map_service.event_messages import opened_event
+from map_service.history import insert_events, insert_versions
+from map_service.rows import SessionCommit, insert_rows, unpack_covariance, unpack_pose
 from map_service.types import FactorRecord, KeyframeRecord, Snapshot
 
 _CLOUDS_AT_ONCE = 256
@@ -32,7 +34,7 @@ def _advance_statement() -> Update:
     values: dict[str, ColumnElement] = {name: bindparam(f"to_{name}") for name in ("last_seq", "finished", "tracker")}
     for name in ("frames", "rejected", "loops", "gnss_factors", "bytes"):
         values[name] = t.c[name] + bindparam(f"new_{name}", type_=t.c[name].type)
-    for name in ("finished_s", "statistics", "last_stamp_ns", "first_stamp_ns"):  # None: as it was
+    for name in ("finished_s", "statistics", "last_stamp_ns", "first_stamp_ns", "map_version"):  # None: as it was
         values[name] = func.coalesce(bindparam(f"or_{name}", type_=t.c[name].type), t.c[name])
     owned = t.c.id == bindparam("of_key"), t.c.epoch == bindparam("of_epoch"), t.c.finished.is_(False)
     return update(t).where(*owned, t.c.last_seq == bindparam("after_seq")).values(values)
@@ -85,6 +87,7 @@ class StoredAnswer:
     T_map_lidar: np.ndarray | None
     T_map_odom: np.ndarray | None
     rejected: str
+    covariance: np.ndarray | None  # (6, 6); None: rejected, or not kept by the release that answered
 
 
 class Store:
@@ -140,17 +143,23 @@ class Store:
                 .values(epoch=t.c.epoch + 1)
             )
             row = connection.execute(
-                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics, t.c.finished).where(
+                select(t.c.id, t.c.epoch, t.c.last_seq, t.c.statistics, t.c.finished, t.c.last_stamp_ns).where(
                     t.c.session_id == opening.session_id
                 )
             ).first()
-            if row is not None:
-                if row.finished:
-                    raise FinishedError(opening.session_id)
-                return OpenedSession(*row[:4]) if taken.rowcount == 1 else None
-            key = connection.execute(insert(t).values(**_new_session(opening))).inserted_primary_key
-            assert key is not None
-            return OpenedSession(key[0], 1, 0, "")
+            if row is None:
+                key = connection.execute(insert(t).values(**_new_session(opening))).inserted_primary_key
+                assert key is not None
+                opened = OpenedSession(key[0], 1, 0, "")
+            elif row.finished:
+                raise FinishedError(opening.session_id)
+            elif taken.rowcount == 1:
+                opened = OpenedSession(*row[:4])
+            else:
+                return None
+            event = opened_event(opened.epoch, opened.last_seq, 0 if row is None else row.last_stamp_ns)
+            insert_events(connection, opened.key, [event.SerializeToString()])
+            return opened
 
     def commit(self, key: int, epoch: int, entry: SessionCommit) -> None:
         """Write everything or nothing. Raises FencedError when (epoch, previous_seq) is not the store's.
@@ -161,6 +170,8 @@ class Store:
             if not self._advance(connection, key, epoch, entry):
                 return
             insert_rows(connection, key, entry)
+            insert_versions(connection, key, [h.what for h in entry.commit.happened])
+            insert_events(connection, key, entry.events)
 
     def _advance(self, connection: Connection, key: int, epoch: int, entry: SessionCommit) -> bool:
         commit = entry.commit
@@ -183,6 +194,7 @@ class Store:
             "or_statistics": entry.statistics or None,
             "or_last_stamp_ns": max(stamps, default=None),
             "or_first_stamp_ns": min(stamps) if first else None,
+            "or_map_version": commit.map_version or None,
         }
         if connection.execute(_ADVANCE, values).rowcount == 1:
             return True
@@ -196,8 +208,8 @@ class Store:
         """Everything MapPipeline.restore needs, but for the clouds: those it fetches as it needs them."""
         s, k, f, p = schema.sessions, schema.keyframes, schema.factors, schema.places
         with self.reading() as connection:
-            query = select(s.c.last_seq, s.c.tracker, s.c.frames).where(s.c.id == key)
-            last_seq, tracker, mapped = connection.execute(query).one()
+            query = select(s.c.last_seq, s.c.tracker, s.c.frames, s.c.map_version).where(s.c.id == key)
+            last_seq, tracker, mapped, map_version = connection.execute(query).one()
             keyframes = connection.execute(
                 select(k.c.keyframe, k.c.seq, k.c.stamp_ns, k.c.pose_map_lidar)
                 .where(k.c.session == key)
@@ -215,6 +227,7 @@ class Store:
             factors=[FactorRecord(*row) for row in factors],
             tracker=tracker,
             mapped=mapped,
+            map_version=map_version or 1,
             # up to the first that is missing: a service of the version before wrote none
             places=[descriptor for count, (i, descriptor) in enumerate(places) if i == count],
             fetch_clouds=partial(self.clouds, key),
@@ -251,6 +264,7 @@ class Store:
                 None if row.rejected else unpack_pose(row.online_map_lidar),
                 None if row.rejected else unpack_pose(row.online_map_odom),
                 row.rejected,
+                unpack_covariance(row.covariance),
             )
             for row in reversed(rows)
         ]

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
+
+if TYPE_CHECKING:
+    from map_service.happenings import Happened
 
 
 class State(IntEnum):
@@ -75,6 +79,7 @@ class MapAnswer:
     keyframe: bool
     registration_ms: float
     effort: Effort | None = None
+    map_version: int = 1  # that T_map_lidar is in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +128,8 @@ class Commit:
     places: list[tuple[int, bytes]] = field(default_factory=list)  # (keyframe, descriptor as places.py packs it)
     frames_again: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)  # (seq, T_keyframe_lidar)
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)  # (metric, label) of what was tried since
+    happened: list[Happened] = field(default_factory=list)
+    map_version: int = 0  # after the last frame; 0: as it was
 
 
 @dataclass(slots=True, eq=False)
@@ -137,6 +144,7 @@ class Snapshot:
     factors: list[FactorRecord]
     tracker: bytes
     mapped: int = 0
+    map_version: int = 1
     places: list[bytes] = field(default_factory=list)  # of keyframes 0, 1, 2, ...
     fetch_clouds: Callable[[Sequence[int]], dict[int, bytes]] | None = None
 

@@ -15,6 +15,7 @@ import grpc
 from map_service import channel
 from map_service.channel import Abort, Beat, Drained, Handed, Ready, Reply, RobotStanding
 from map_service.config import ServiceConfig
+from map_service.live_answers import LiveAnswers
 from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
@@ -29,14 +30,17 @@ _log = logging.getLogger(__name__)
 class WorkerProcess:
     """One worker: its process, its socket, the streams it serves."""
 
-    def __init__(self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
+    def __init__(
+        self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics, live: LiveAnswers
+    ) -> None:
+        """live: hears every answer."""
         self.index = index
         self.ready = asyncio.Event()
         self.streams: dict[int, RobotStream] = {}
         self.pinned: set[str] = set()
         self.drained = False
         self.beat_s = self.started_s = time.monotonic()
-        self._config, self._metrics = config, metrics
+        self._config, self._metrics, self._live = config, metrics, live
         ours, theirs = socket.socketpair()
         self._sock = ours
         spec = WorkerSpec(index, config, engine, os.getpid())
@@ -102,6 +106,7 @@ class WorkerProcess:
             return
         stream.opened = True
         if message.answer:
+            self._live.tell(stream.number, stream.session_id, message.body)
             if (seconds := stream.put_answer(message.body)) is not None:
                 self._metrics.answer_seconds.observe(seconds)
         else:

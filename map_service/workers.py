@@ -10,6 +10,7 @@ import grpc
 
 from map_service.channel import Close, DrainAll, Forget, HandOver, Open, Request
 from map_service.config import ServiceConfig
+from map_service.live_answers import LiveAnswers
 from map_service.metrics import ServiceMetrics
 from map_service.streams import RobotStream
 from map_service.worker_process import WorkerProcess
@@ -26,8 +27,9 @@ _log = logging.getLogger(__name__)
 class WorkerPool:
     """All workers. A session stays with its worker while that holds it in memory."""
 
-    def __init__(self, config: ServiceConfig, engine: str, metrics: ServiceMetrics) -> None:
-        self._config, self._engine, self._metrics = config, engine, metrics
+    def __init__(self, config: ServiceConfig, engine: str, metrics: ServiceMetrics, live: LiveAnswers) -> None:
+        """live: hears every answer."""
+        self._config, self._engine, self._metrics, self._live = config, engine, metrics, live
         self._workers: list[WorkerProcess] = []
         self._tasks: list[asyncio.Task[None]] = []
         self._draining = False
@@ -36,10 +38,13 @@ class WorkerPool:
     async def start(self) -> None:
         """Start all and wait until they are warm. Raises RuntimeError when one cannot start."""
         for index in range(self._config.worker_count):
-            self._workers.append(WorkerProcess(index, self._config, self._engine, self._metrics))
+            self._workers.append(self._new(index))
             self._tasks.append(asyncio.create_task(self._keep(index)))
         self._tasks.append(asyncio.create_task(self._watch()))
         await asyncio.gather(*(self._until_ready(worker) for worker in self._workers))
+
+    def _new(self, index: int) -> WorkerProcess:
+        return WorkerProcess(index, self._config, self._engine, self._metrics, self._live)
 
     @property
     def ready(self) -> bool:
@@ -67,7 +72,7 @@ class WorkerPool:
             _log.error("worker died", extra=fields(worker=index, exit_code=worker.process.exitcode))
             failures = 0 if time.monotonic() - worker.started_s > 10 else failures + 1
             await asyncio.sleep(min(0.1 * 2**failures, _RESTART_CAP_S) if failures else 0)
-            self._workers[index] = WorkerProcess(index, self._config, self._engine, self._metrics)
+            self._workers[index] = self._new(index)
 
     def _end_streams(self, worker: WorkerProcess) -> None:
         detail = "draining: reconnect" if self._draining else "the worker of this session has died: reconnect"

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from map_service.happenings import Happened, MapMove
 from map_service.rows import SessionCommit
 from map_service.store import Opening
-from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord
+from map_service.types import Cause, Commit, FactorRecord, FrameRecord, KeyframeRecord
 from splitslam import se3
 from tests.map_service.fakes import made_cloud
 
@@ -35,6 +36,14 @@ def entry(previous: int, last: int, *, keyframes: tuple[int, ...] = (), **change
         [(k, f"place {k}".encode()) for k in keyframes],
     )
     return replace(SessionCommit(commit, {seq: pose(seq + 200) for seq in seqs}), **changes)
+
+
+def with_move(made: SessionCommit, version: int, keyframes: int = 1) -> SessionCommit:
+    """The same, and version `version` of the map begins after it; the one before had so many keyframes."""
+    poses = np.tile(np.eye(4), (keyframes, 1, 1))
+    last = made.commit.last_seq
+    move = Happened(last, last, MapMove(version, last + 1, Cause.GNSS, 0.02, 0.0, poses))
+    return replace(made, commit=replace(made.commit, happened=[move], map_version=version))
 
 
 def sound() -> SessionCommit:

@@ -10,6 +10,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,13 @@ import numpy as np
 from map_service.cloud import encode_cloud
 from map_service.clouds import Fetch
 from map_service.database import StoreError
+from map_service.happenings import Happened, LoopAccepted, MapMove
 from map_service.hello import SessionRequest
 from map_service.settings import PipelineSettings
 from map_service.types import (
+    Cause,
     Commit,
+    CorrectionRecord,
     FactorRecord,
     FrameRecord,
     KeyframeRecord,
@@ -39,7 +43,7 @@ POINTS_LIDAR = np.array([[1, 0, 0], [0, 2, 0], [0, 0.01, 0]], np.float32)
 
 
 def payload(does: str = "map", **values: Any) -> bytes:
-    """does: map | corrupt | raise | unsettled | crash (once=) | away (once=) | sleep (seconds=)."""
+    """does: map | corrupt | raise | unsettled | crash (once=) | away (once=) | sleep (seconds=) | correct (by_m=)."""
     return json.dumps({"does": does, **values}).encode()
 
 
@@ -50,13 +54,17 @@ def at(x_m: float) -> np.ndarray:
 
 
 class FakePipeline:
-    """A keyframe each 5 frames; finishing moves every keyframe by 100 m, as a loop would."""
+    """A keyframe each 5 frames; "correct" moves every keyframe, as a loop would, and finishing does so by 100 m."""
 
     def __init__(self, snapshot: Snapshot | None) -> None:
-        state = json.loads(snapshot.tracker) if snapshot else {"mapped": 0, "keyframes": []}
+        state = json.loads(snapshot.tracker) if snapshot else {"mapped": 0, "keyframes": [], "shift_m": 0.0}
         if state.get("later"):
             raise StateVersionError("tracker state of version 9, expected one of (1, 2)")
-        self.mapped, self.keyframes = state["mapped"], state["keyframes"]
+        self.mapped, self.keyframes, self.shift_m = state["mapped"], state["keyframes"], state["shift_m"]
+        self.map_version = snapshot.map_version if snapshot else 1
+        self.happened: list[Happened] = []
+        self.due_m = self.told_m = 0.0  # correction that the next settling makes, that the next answer tells
+        self.newest = (0, 0)  # seq and stamp
         self.frames: list[FrameRecord] = []
         self.new_keyframes: list[KeyframeRecord] = []
         self.factors: list[FactorRecord] = []
@@ -68,7 +76,10 @@ class FakePipeline:
         seq, stamp_ns = frame["seq"], frame["stamp_ns"]
         keyframe = self.mapped % KEYFRAME_EVERY == 0
         self.mapped += 1
-        x_m = float(self.mapped)
+        x_m = float(self.mapped) + self.shift_m
+        self.newest = seq, stamp_ns
+        told = CorrectionRecord(Cause.LOOP, self.told_m, 0.0) if self.told_m else None
+        self.due_m, self.told_m = frame.get("by_m", 0.0), 0.0
         if keyframe:
             index = len(self.keyframes)
             self.keyframes.append(x_m)
@@ -78,13 +89,33 @@ class FakePipeline:
         pose = at(x_m - self.keyframes[newest])
         self.frames.append(FrameRecord(seq, stamp_ns, newest, pose, at(x_m), int(State.TRACKING)))
         none = np.zeros((0, 6))
-        return MapAnswer(seq, stamp_ns, at(x_m), at(0.5), np.eye(6), State.TRACKING, none, None, keyframe, 1.0)
+        return MapAnswer(
+            *(seq, stamp_ns, at(x_m), at(0.5), np.eye(6), State.TRACKING, none, told, keyframe, 1.0),
+            map_version=self.map_version,
+        )
 
     def settle(self) -> float | None:
-        """All was done at once; "unsettled" fails now."""
+        """All was done at once but for a correction; "unsettled" fails now."""
         if self.failing:
             raise RuntimeError("told to, after the answer")
+        if self.due_m:
+            self.shift_m, self.told_m = self.shift_m + self.due_m, self.due_m
+            self._move(self.due_m)
+            self.due_m = 0.0
         return None
+
+    def _move(self, by_m: float) -> None:
+        before = np.array([at(x_m) for x_m in self.keyframes]).reshape(-1, 4, 4)
+        self.keyframes = [x_m + by_m for x_m in self.keyframes]
+        self.new_keyframes = [replace(k, T_map_lidar=at(self.keyframes[k.index])) for k in self.new_keyframes]
+        self.moved = [(i, at(x_m)) for i, x_m in enumerate(self.keyframes)]
+        self.map_version += 1
+        (seq, stamp_ns), cause = self.newest, Cause.LOOP
+        move = MapMove(self.map_version, seq + 1, cause, by_m, 0.0, before)
+        self.happened += [
+            Happened(seq, stamp_ns, LoopAccepted(0, len(before) - 1, by_m, 0.0)),
+            Happened(seq, stamp_ns, move),
+        ]
 
     def _act(self, frame: dict[str, Any]) -> None:
         match frame["does"]:
@@ -108,17 +139,18 @@ class FakePipeline:
         return bool(self.new_keyframes)
 
     def take_commit(self) -> Commit:
-        state = {"mapped": self.mapped, "keyframes": self.keyframes}
-        commit = Commit(-1, -1, self.frames, self.new_keyframes, self.factors, self.moved, json.dumps(state).encode())
-        self.frames, self.new_keyframes, self.factors, self.moved = [], [], [], []
+        state = {"mapped": self.mapped, "keyframes": self.keyframes, "shift_m": self.shift_m}
+        news = self.frames, self.new_keyframes, self.factors, self.moved, json.dumps(state).encode()
+        commit = Commit(-1, -1, *news, happened=self.happened, map_version=self.map_version)
+        self.frames, self.new_keyframes, self.factors, self.moved, self.happened = [], [], [], [], []
         return commit
 
     def stored(self, seq: int, fetch: Fetch) -> None:
         """Keeps nothing for the store."""
 
     def finish(self) -> None:
-        self.keyframes = [x_m + FINAL_SHIFT_M for x_m in self.keyframes]
-        self.moved = [(i, at(x_m)) for i, x_m in enumerate(self.keyframes)]
+        self.settle()
+        self._move(FINAL_SHIFT_M)
 
     def statistics(self) -> dict[str, Any]:
         return {"mapped": self.mapped, "keyframes": len(self.keyframes), "map_ms": {"graph": {"mean": 1.0}}}

@@ -19,7 +19,7 @@ from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.tally import Tally
 from map_service.types import KeyframeRecord
 from splitslam.errors import InputError
-from tests.map_service.entries import OPENING, entry, pose
+from tests.map_service.entries import OPENING, entry, pose, with_move
 
 POSE_TOLERANCE = 1e-12  # a rotation goes through a unit quaternion in float64
 
@@ -193,7 +193,7 @@ def test_the_owner_of_a_deleted_session_cannot_write_into_its_successor(store: S
 def test_a_delete_says_what_it_removed_and_leaves_no_row(store: Store) -> None:
     for session_id in ("r/1", "r/2"):
         opened = store.open_session(replace(OPENING, session_id=session_id))
-        store.commit(opened.key, 1, entry(0, 3, keyframes=(0, 1), holes=[(2, 0)]))
+        store.commit(opened.key, 1, with_move(entry(0, 3, keyframes=(0, 1), holes=[(2, 0)]), 2))
     catalog = Catalog(store)
     total = catalog.bytes_by_site()["site"]
     deleted = catalog.delete("r/1")

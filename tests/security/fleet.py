@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,6 +19,8 @@ from splitslam.security.settings import ClientTls
 from splitslam.stack import EnvoyProxy, Replica
 from splitslam.stack.process import wait_until
 from splitslam.stack.stack import service_tls
+from splitslam.wire import pose_pb2 as pose_pb
+from splitslam.wire import pose_pb2_grpc as pose_rpc
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from tests.conftest import ROOT
@@ -146,6 +149,35 @@ class Client:
                 return (list(answer) if name in ("Trajectory", "StreamMap") else answer), ""
             except grpc.RpcError as error:
                 return None, f"{error.code().name}: {error.details()}"  # pyright: ignore
+
+    def _ask_poses(self, name: str, request: Any) -> tuple[Any, str]:
+        """The first message of an answer, and why there is none."""
+        with self._channel() as (channel, metadata):
+            call = getattr(pose_rpc.PoseServiceStub(channel), name)
+            try:
+                answer = call(request, metadata=metadata, timeout=CALL_S)
+                return (answer if name == "PoseAt" else next(answer)), ""
+            except grpc.RpcError as error:
+                return None, f"{error.code().name}: {error.details()}"  # pyright: ignore
+
+    def watch_poses(self, **selection: Any) -> tuple[set[str], str]:
+        """(sessions that are told of, why not)."""
+        request = pose_pb.WatchPosesRequest(sessions=pose_pb.SessionSelection(**selection))
+        answer, why = self._ask_poses("WatchPoses", request)
+        return (set() if answer is None else set(json.loads(answer.cursor)[1])), why
+
+    def events(self, **selection: Any) -> tuple[set[str], str]:
+        """(sessions that are told of, why not)."""
+        request = pose_pb.EventsRequest(sessions=pose_pb.SessionSelection(**selection), cursor="[0,{}]")
+        answer, why = self._ask_poses("Events", request)
+        return (set() if answer is None else {event.session_id for event in answer.events}), why
+
+    def pose_at(self, session_id: str) -> str:
+        stamp_ns = frame(1).stamp_ns
+        return self._ask_poses("PoseAt", pose_pb.PoseAtRequest(session_id=session_id, stamp_ns=stamp_ns))[1]
+
+    def local_map(self, session_id: str) -> str:
+        return self._ask_poses("LocalMap", pose_pb.LocalMapRequest(session_id=session_id, radius_m=5.0))[1]
 
     def sessions(self, site_id: str = "") -> tuple[set[str], str]:
         """(session ids, why not)."""

@@ -83,6 +83,11 @@ def as_proxy(fleet: Fleet, *metadata: tuple[str, str]) -> Client:
     return Client(fleet.replica.address, fleet.tls(issued), metadata)
 
 
+def as_proxy_itself(fleet: Fleet) -> Client:
+    """With the proxy's own key, by way of the proxy."""
+    return Client(fleet.envoy.address, fleet.tls(fleet.authority.read(fleet.authority.folder / "envoy.pem")))
+
+
 def as_service(fleet: Fleet) -> Client:
     issued = fleet.authority.read(fleet.authority.folder / "service.pem")
     return Client(fleet.envoy.address, fleet.tls(issued))
@@ -119,6 +124,18 @@ ROWS = [
     Row("robot reads another's", "other_robot", lambda f, s: robot(f).get(s)),
     Row("robot reads another's way", "other_robot", lambda f, s: robot(f).trajectory(s)),
     Row("robot reads another's map", "other_robot", lambda f, s: robot(f).stream_map(s)),
+    Row("robot follows another's", "other_robot", lambda f, s: robot(f).watch_poses(session_ids=[s])[1]),
+    Row("robot follows another", "other_robot", lambda f, s: robot(f).watch_poses(robot_ids=["rover-2"])[1]),
+    Row("robot follows another site", "other_site", lambda f, s: robot(f).events(site_id=SOUTH)[1]),
+    Row("robot hears of another's", "other_robot", lambda f, s: robot(f).events(session_ids=[s])[1]),
+    Row("robot asks where another was", "other_robot", lambda f, s: robot(f).pose_at(s)),
+    Row("robot reads another's surroundings", "other_robot", lambda f, s: robot(f).local_map(s)),
+    Row("other operator follows", "other_site", lambda f, s: operator(f, SOUTH).watch_poses(session_ids=[s])[1]),
+    Row("other operator follows the site", "other_site", lambda f, s: operator(f, SOUTH).watch_poses(site_id=NORTH)[1]),
+    Row("other operator hears of it", "other_site", lambda f, s: operator(f, SOUTH).events(session_ids=[s])[1]),
+    Row("other operator asks where", "other_site", lambda f, s: operator(f, SOUTH).pose_at(s)),
+    Row("other operator's surroundings", "other_site", lambda f, s: operator(f, SOUTH).local_map(s)),
+    Row("the proxy follows", "not_an_operator", lambda f, s: as_proxy_itself(f).watch_poses()[1]),
     Row("other operator lists", "other_site", lambda f, s: operator(f, SOUTH).sessions(NORTH)[1]),
     Row("other operator reads", "other_site", lambda f, s: operator(f, SOUTH).get(s)),
     Row("other operator reads map", "other_site", lambda f, s: operator(f, SOUTH).stream_map(s)),
@@ -216,6 +233,28 @@ def test_an_operator_sees_and_deletes_the_sessions_of_its_site_and_no_others(fle
     assert [north.get(runs[NORTH]), north.trajectory(runs[NORTH]), north.delete(runs[NORTH])] == ["", "", ""]
     assert "NOT_FOUND" in everywhere.get(runs[NORTH])
     assert everywhere.delete(runs[SOUTH]) == ""
+
+
+def test_nobody_hears_of_sessions_that_he_may_not_read_however_little_he_asks_for(fleet: Fleet, stored: str) -> None:
+    runs = {}
+    for site, name in ((NORTH, "rover-e"), (SOUTH, "rover-f")):
+        run_id = new_run()
+        tls = fleet.tls(fleet.certificate("robot", name, site))
+        assert Client(fleet.envoy.address, tls).drive(name, run_id) == ""
+        runs[site] = f"{name}/{run_id}"
+    before = fleet.counters()
+    own = robot(fleet, name="rover-e")
+    assert own.events() == ({runs[NORTH]}, "")
+    assert (own.pose_at(runs[NORTH]), own.local_map(runs[NORTH]), own.watch_poses()[1]) == ("", "", "")
+    assert own.watch_poses(session_ids=[runs[NORTH]]) == ({runs[NORTH]}, "")
+    heard = set()
+    for who in (operator(fleet, NORTH), operator(fleet)):
+        assert who.watch_poses(session_ids=[runs[NORTH]])[0] == {runs[NORTH]}
+        heard |= who.events(robot_ids=["rover-e"])[0] | who.events(robot_ids=["rover-f"])[0]
+    assert heard == set(runs.values())
+    assert operator(fleet, NORTH).events(robot_ids=["rover-f"])[0] == set()
+    assert stored not in heard
+    assert rises(before, fleet.counters()) == set()
 
 
 def test_the_proxys_certificate_is_no_robots(fleet: Fleet) -> None:
