@@ -79,7 +79,7 @@ WAYS: dict[str, Callable[[Path, float], Through]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=80.0, help="of the drive (75 s)")
     parser.add_argument("--only", default=",".join(WAYS))
     options = parser.parse_args()
