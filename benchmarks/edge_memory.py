@@ -25,8 +25,9 @@ if __package__ in (None, ""):  # run as a file
 
 from benchmarks.command import run
 from edge_agent import daemon
-from edge_agent.config import AgentConfig
-from edge_agent.sources import Event, Recording, open_recording
+from edge_agent.config import AgentConfig, SourceConfig
+from edge_agent.metrics import EdgeMetrics
+from edge_agent.sources import Event, Source, open_recording
 from edge_agent.sources.time_map import shifted
 from map_service.processes import resident_bytes
 from splitslam import config
@@ -77,10 +78,11 @@ class Laps:
 def play(agent: Path, minutes: float) -> None:
     """In a process of its own: the agent with its configuration, on a recording that does not end before."""
 
-    def laps(path: Path, robot: Robot, *, max_scans: int | None = None) -> Recording:
-        return Laps(path, robot, minutes)  # pyright: ignore[reportReturnType]
+    def laps(source: SourceConfig, robot: Robot, metrics: EdgeMetrics) -> Source:
+        assert source.recording is not None
+        return Laps(source.recording, robot, minutes)  # pyright: ignore[reportReturnType]
 
-    daemon.open_recording = laps
+    daemon.open_source = laps
     daemon.run_agent(config.load(AgentConfig, agent), threading.Event())
 
 

@@ -34,7 +34,7 @@ class Recording:
 
     def __init__(self, bag: Bag, robot: Robot, max_scans: int | None) -> None:
         self.tap: Tap | None = None
-        self.live_offset_ns: int | None = None
+        self.live_offset_ns = None
         self._bag = bag
         self._name = str(bag.path)
         self._max_scans = max_scans
@@ -45,7 +45,7 @@ class Recording:
         self.robot, self.topics = choice.robot, choice.chosen
         self._check(robot, there)
         lidar_topic = self.topics["lidar"]
-        self.scan_count: int | None = min(bag.count(lidar_topic), max_scans if max_scans is not None else 2**62)
+        self.scan_count = min(bag.count(lidar_topic), max_scans if max_scans is not None else 2**62)
         self._decoding = Decoding(self.robot, self.topics, there[lidar_topic], self._name)
         self._decoding.look_at(message for _, _, message in bag.messages({lidar_topic}))
         self.counts, self.dropped = self._decoding.counts, self._decoding.dropped

@@ -66,10 +66,13 @@ class Source(Protocol):
     dropped: Counter[str]
     start_ns: int
     end_ns: int
-    scan_count: int | None
-    live_offset_ns: int | None
     beam_elevations_rad: NDArray[np.float32]
     tap: Tap | None
+
+    @property
+    def scan_count(self) -> int | None: ...
+    @property
+    def live_offset_ns(self) -> int | None: ...
 
     def events(self) -> Iterator[TimedEvent | None]:
         """(arrival ns, event). A message that cannot be used is counted in `dropped` and left out.
