@@ -167,7 +167,7 @@ STEADY_SCAN_STAYS_BYTES = 4_096
 STEADY_SCAN_BYTES = 400_000
 WARM_START_IMPORTS = 8.0
 
-# Twelve seconds of yard1 at its own pace through ROS: answers against the truth (from the file, in lockstep: 2.4 mm; by
+# Nine seconds of yard1 at its own pace through ROS: answers against the truth (from the file, in lockstep: 2.4 mm; by
 # the clock half as much again); transforms on /tf once it runs, laid on the truth by one of them (its own error, and
 # the truth interpolated over 0.1 s of a walk: 5 mm each).
 LIVE_ROS_ATE_M = 0.0035

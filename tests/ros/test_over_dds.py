@@ -17,8 +17,8 @@ from tests.ros.dds import DOMAIN, cyclonedds_uri
 from tests.ros.heard import Heard
 from tests.ros.live_run import LiveRun, live_run
 
-SECONDS = 12.0
-SCANS = 119  # of yard1 within that time
+SECONDS = 9.0
+SCANS = 89  # of yard1 within that time
 T_BODY_LIDAR = se3.compose(se3.so3_exp(np.array([0.0, 0.1, 0.3])), np.array([0.2, 0.1, 0.5]))
 
 

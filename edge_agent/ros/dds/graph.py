@@ -151,6 +151,7 @@ class DdsGraph:
             self._closed = True
             self._closing.set(True)
             self._thread.join()
+            self._participant._delete(self._participant._ref)  # now, and all of it: not when Python comes round to it
 
 
 def _dds_name(topic: str) -> str:
