@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError as WireError
 
 from map_service.answered import Answered, AnsweredFrames
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request, Watch
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.endings import Endings
@@ -26,6 +26,7 @@ from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.taken_over import TakenOver
 from map_service.tally import Tally
 from map_service.types import StateVersionError
+from map_service.views import SessionViews
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
@@ -47,7 +48,7 @@ class SessionHost:
         self.config, self.engine, self.store, self.tally = config, engine, store, Tally()
         self.sessions = HeldSessions(config.limits, send)
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
-        self._send = send
+        self._send, self._views = send, SessionViews(send)
         self._endings = Endings(self.sessions, store, self.tally, send)
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
@@ -77,6 +78,8 @@ class SessionHost:
                 self.sessions.drop(session_id)
             case HandOver(stream):
                 self._hand_over(stream)
+            case Watch():
+                self._views.watch(message)
             case DrainAll():
                 pass
 
@@ -182,6 +185,7 @@ class SessionHost:
             return
         session, frame, start_s = answered.session, answered.frame, time.monotonic()
         name = session.request.session_id
+        self._views.scan(session, frame, answered.answer)
         try:
             session.settle()
         except StoreError as error:
@@ -229,6 +233,7 @@ class SessionHost:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
         self._poison.pop(session.request.session_id, None)
         session.finish()
+        self._views.end(session)
 
     # -- care ---------------------------------------------------------------------------------------------------
 
