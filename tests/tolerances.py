@@ -176,6 +176,8 @@ EXPORT_TIME_S = 2.5e-7
 # iteration, not those of the optimum.
 EXPORT_ENU_M = 5e-3
 EXPORT_ENU_RAD = 1e-4
+# Peak of the exporting process with 5 million points (150 MB of records), imports included; seen: 186 with 100 million.
+EXPORT_MEMORY_MB = 400
 # g2o is text of 12 digits.
 G2O_READ = 1e-6
 G2O_BACK_M = 1e-3
