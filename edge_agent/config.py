@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.live_settings import LiveConfig
 from edge_agent.odometry.settings import OdometrySettings
+from edge_agent.ros.settings import Ros1Settings, Ros2Settings, RosSettings
 from edge_agent.settings import PipelineSettings
 from splitslam.config import Model
 from splitslam.security.settings import ClientTls
@@ -34,7 +35,7 @@ def _server(server: str) -> str:
     return server
 
 
-SOURCES = ("recording", "live")  # sections of `source`, of which a configuration has exactly one
+SOURCES = ("recording", "live", "ros1", "ros2")  # sections of `source`, of which a configuration has exactly one
 
 
 class SourceConfig(Model):
@@ -49,6 +50,8 @@ class SourceConfig(Model):
 
     recording: Path | None = None
     live: LiveConfig | None = None
+    ros1: Ros1Settings | None = None
+    ros2: Ros2Settings | None = None
     realtime: bool = False
     max_scans: Annotated[int, Field(ge=1)] | None = None
     queue_scans: Annotated[int, Field(ge=1)] = 20
@@ -58,6 +61,11 @@ class SourceConfig(Model):
     def by_the_clock(self) -> bool:
         """Nobody waits for anybody: scans that come too fast are dropped."""
         return self.realtime or self.recording is None
+
+    @property
+    def ros(self) -> Ros1Settings | Ros2Settings | None:
+        """The graph that the sensors are in, if they are in one."""
+        return self.ros1 or self.ros2
 
     @property
     def name(self) -> str:
@@ -180,6 +188,7 @@ class AgentConfig(Model):
     raw_ring: RawRingConfig = RawRingConfig()
     metrics: MetricsConfig = MetricsConfig()
     feed: FeedConfig = FeedConfig()
+    ros: RosSettings = RosSettings()
     log: LogConfig = LogConfig()
     state_dir: Path | None = None
     site_id: str = ""
@@ -189,6 +198,12 @@ class AgentConfig(Model):
     def spools(self) -> bool:
         """There is a directory for the spool."""
         return self.spool.dir is not None or self.state_dir is not None
+
+    @model_validator(mode="after")
+    def _one_graph(self) -> Self:
+        if self.source.ros is not None and (self.ros.ros1 is not None or self.ros.ros2 is not None):
+            raise ValueError("ros.ros1, ros.ros2: expected only when the source is not in a ROS graph itself")
+        return self
 
     @model_validator(mode="after")
     def _not_in_the_clear(self) -> Self:

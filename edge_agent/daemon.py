@@ -26,9 +26,12 @@ from edge_agent.outputs import Outputs
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.raw_ring import RawRing
 from edge_agent.reader import EventQueue, Reader
+from edge_agent.ros.base_samples import Belief
+from edge_agent.ros.output import open_output
 from edge_agent.run_store import RunStore
 from edge_agent.sink import AgentSink, Progress
 from edge_agent.sources import Sequencer, Source, TimedEvent, open_source
+from edge_agent.sources.source import StoppedError
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
@@ -52,7 +55,10 @@ def run_agent(config: AgentConfig, stop: threading.Event, notifier: Notifier | N
     when this returns. Raises InputError for what the user can mend; nothing half-written is left behind.
     """
     metrics = EdgeMetrics(keep=config.output.dir is not None)
-    source = open_source(config.source, _robot(config), metrics)
+    try:
+        source = open_source(config, _robot(config), metrics, stop)
+    except StoppedError:
+        return
     for note in source.notes:
         print(note, file=sys.stderr)
     with ExitStack() as cleanup:
@@ -65,13 +71,13 @@ def run_agent(config: AgentConfig, stop: threading.Event, notifier: Notifier | N
         outputs = Outputs(config.output.dir) if config.output.dir else None
         if outputs is not None:
             cleanup.callback(outputs.discard)  # does nothing once they are published
-        _Run(config, source, metrics, outputs, notifier or Notifier({}), cleanup).run(stop)
+        _Run(config, source, metrics, outputs, notifier or Notifier({}), stop, cleanup).run()
 
 
 def _robot(config: AgentConfig) -> Robot:
     """The robot as this run uses it: what is switched off is not there."""
     off = {part: None for part in ("imu", "gnss", "wheels") if part in config.disable}
-    return load_robot(config.robot).model_copy(update=off)
+    return load_robot(config.robot, placed_elsewhere=config.source.ros is not None).model_copy(update=off)
 
 
 def _raw_ring(config: AgentConfig) -> RawRing | None:
@@ -89,10 +95,11 @@ class _Run:
         metrics: EdgeMetrics,
         outputs: Outputs | None,
         notifier: Notifier,
+        stop: threading.Event,
         cleanup: ExitStack,
     ) -> None:
         self._config, self._source, self._metrics, self._outputs = config, source, metrics, outputs
-        self._notifier, self._cleanup = notifier, cleanup
+        self._notifier, self._stop, self._cleanup = notifier, stop, cleanup
         robot, beams = source.robot, source.beam_elevations_rad
         by_the_clock = config.source.by_the_clock
         ring = _raw_ring(config)
@@ -108,6 +115,7 @@ class _Run:
         with counted() as kernels:
             warm_up(robot, config.pipeline, config.imu, beams, config.odometry)
         clock_ns = time.monotonic_ns if by_the_clock else None
+        self._loop: AgentLoop | None = None
         self._outages = Outages(config.odometry, node.name not in ("off", "rotation"), clock_ns)
         metrics.outages_from(self._outages.report)
         metrics.spool_limit.set(config.spool.max_bytes if config.spools else 0)
@@ -137,10 +145,16 @@ class _Run:
         metrics.clock_step_sources.append(self._sequencer.times.steps)
         metrics.imu_from(self._imu_gaps, lambda: self._imu.resets, lambda: self._sequencer.uncovered)
         metrics.scans_from(self._scans, lambda: dict(self._tally.corrections_by_cause))
+        belief = Belief(self._imu, self._state, lambda: self._sequencer.offset_ns)
+        ros = open_output(config, source, belief, self._ros_report, stop, cleanup)
+        if ros is not None:
+            metrics.drop_sources.append(ros.dropped)
         self._sink = AgentSink(
             tally=self._tally,
             outputs=outputs,
             feed=feed,
+            ros=ros,
+            by_scan=robot.imu is None,
             progress=self._progress,
             run_id=self._store.run.value,
             reader_cpu_s=lambda: self._reader.cpu_s,
@@ -166,8 +180,9 @@ class _Run:
             lockstep=not config.source.by_the_clock,
         )
 
-    def run(self, stop: threading.Event) -> None:
+    def run(self) -> None:
         """Connect, read, process, say Bye, report."""
+        stop = self._stop
         watcher = threading.Thread(target=self._watch, args=(stop,), name="stopper", daemon=True)
         watcher.start()
         self._cleanup.callback(watcher.join)
@@ -186,7 +201,7 @@ class _Run:
         self._notifier.status(f"waiting for the map service at {self._config.server}")
         if not (patient and self._store.says_how_far) and self._uplink.wait_welcome() is None:
             return
-        loop = self._loop()
+        loop = self._loop = self._make_loop()
         self._progress.start(self._source.scan_count)
         gc.freeze()  # the collector would look at all that was imported and made so far every few seconds
         self._cleanup.callback(gc.unfreeze)
@@ -235,7 +250,7 @@ class _Run:
     def _events(self) -> Iterator[TimedEvent | None]:
         yield from self._after.events(self._source.events())
 
-    def _loop(self) -> AgentLoop:
+    def _make_loop(self) -> AgentLoop:
         """A continued run goes on after the last scan that is on disk or that the service has, whichever is newer."""
         if self._store.run.continued:
             self._go_on()
@@ -284,6 +299,21 @@ class _Run:
             "mapped": tally.mapped,
             "rejected": tally.rejected,
             "replayed": tally.replayed,
+        }
+
+    def _state(self) -> int:
+        return self._imu.state if self._loop is None else self._loop.state
+
+    def _ros_report(self) -> dict[str, object]:
+        """The values of /diagnostics."""
+        scans = self._scans()
+        return {
+            "connected": self._uplink.anchored,
+            "frames_kept": self._uplink.kept,
+            "scans_read": scans["read"],
+            "scans_mapped": scans["mapped"],
+            "dropped": sum(self._metrics.all_dropped().values()),
+            "sensors": self._source.status() or "ok",
         }
 
     def _imu_gaps(self) -> tuple[int, float]:

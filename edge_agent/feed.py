@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from edge_agent.config import FeedConfig
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.rate_grid import RateGrid
 from edge_agent.types import OdomPoses
 from edge_agent.wire import transform
 from splitslam import se3
@@ -55,20 +56,16 @@ class _Reader:
     """One Watch call's bounded queue."""
 
     def __init__(self, limit: int, max_rate_hz: float) -> None:
-        self._interval_ns = int(1e9 / max_rate_hz) if max_rate_hz > 0 else 0
+        self._grid = RateGrid(max_rate_hz)
         self._samples: deque[PoseSample] = deque()
-        self._limit, self._next_ns = limit, 0
+        self._limit = limit
         self._changed = threading.Condition()
         self._closed = False
 
     def offer(self, sample: PoseSample) -> bool:
         """Queues the sample if it is due; False when an older one had to go for it."""
-        if sample.stamp_ns < self._next_ns:
+        if not self._grid.due(sample.stamp_ns):
             return True
-        # a grid of due times: intervals that are no multiple of the IMU's still give the wanted mean rate
-        self._next_ns += self._interval_ns
-        if self._next_ns <= sample.stamp_ns:
-            self._next_ns = sample.stamp_ns + self._interval_ns
         with self._changed:
             self._samples.append(sample)
             lost = len(self._samples) > self._limit

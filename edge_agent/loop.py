@@ -55,6 +55,9 @@ class Imu(Protocol):
     covariance: NDArray[np.float64]
     state: int
 
+    @property
+    def velocity_covariance(self) -> NDArray[np.float64]: ...
+
     def add_imu(self, samples: ImuSamples) -> OdomPoses: ...
     def add_wheels(self, samples: WheelSamples) -> None: ...
     def T_odom_lidar_at(self, stamp_ns: int) -> NDArray[np.float64]: ...
@@ -295,10 +298,9 @@ class AgentLoop:
 
 def _together(run: Iterable[TimedEvent]) -> tuple[ImuSamples, list[int]]:
     """Messages of the IMU as one, and when each of its samples came."""
-    samples: list[ImuSamples] = []
-    arrivals_ns: list[int] = []
-    for arrival_ns, message in run:
-        assert isinstance(message, ImuSamples)
-        samples.append(message)
-        arrivals_ns += [arrival_ns] * len(message)
-    return ImuSamples.joined(samples), arrivals_ns
+    arrived, messages = zip(*run, strict=True)
+    samples = ImuSamples.joined(messages)
+    if len(samples) == len(messages):  # as most drivers have it
+        return samples, list(arrived)
+    counts = [len(message) for message in messages]
+    return samples, [ns for ns, count in zip(arrived, counts, strict=True) for _ in range(count)]

@@ -18,7 +18,8 @@ CAUSES = ("loop", "gnss", "relocalise", "registration", "outage")
 _OF_A_STREAM = ("duplicate", "time_backwards", "time_jump")
 DROP_REASONS = (
     # a scan, before it is a frame
-    *("decode", "point_time", "empty", "nan", "few_points", "budget", "too_many_features", "queue_full", *_OF_A_STREAM),
+    *("decode", "point_time", "empty", "nan", "few_points", "budget", "motion", "too_many_features", "queue_full"),
+    *_OF_A_STREAM,
     # a message of any live sensor, from before its clock was locked
     "clock_changed",
     # messages of the other sensors
@@ -30,6 +31,9 @@ DROP_REASONS = (
     *(f"rejected_{reason}" for reason in ("corrupt", "codec_version", "time", "failed", "corrupt_answer")),
     # a pose, for a reader of the feed
     "feed_slow_reader",
+    # messages of a ROS graph: from it, to it
+    *("ros_lost", "ros_scan_missing", "ros_imu_missing", "ros_inbox_full"),
+    *("ros_queue_full", "ros_not_sent", "ros_no_odom"),
 )
 BREAKS = (
     *("no_welcome", "silent", "unanswered", "drain", "refused", "ended_by_server"),
@@ -58,8 +62,8 @@ SCANS = counter(
 DROPPED = counter(
     "splitslam_edge_dropped",
     "What was lost, by reason: scans, messages of other sensors (imu_, wheel_, gnss_), frames (buffer_full, "
-    "spool_damaged, rejected_), poses for a slow reader of the feed. buffer_full_after_answer: lost only if the "
-    "service loses it as well",
+    "spool_damaged, rejected_), poses for a slow reader of the feed or for ROS (ros_queue_full, ros_not_sent, "
+    "ros_no_odom). buffer_full_after_answer: lost only if the service loses it as well",
     "The reason: sensor and driver (nan, decode, point_time, time_*), CPU (queue_full), link and disk (buffer_full), "
     "versions (rejected_codec_version).",
     Label("reason", DROP_REASONS, open=True),

@@ -20,11 +20,13 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from edge_agent.config import RawRingConfig
 from splitslam.errors import InputError
 from splitslam.logs import fields
+
+if TYPE_CHECKING:
+    from edge_agent.config import RawRingConfig
 
 _log = logging.getLogger(__name__)
 

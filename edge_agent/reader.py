@@ -17,6 +17,7 @@ from splitslam.scan import Scan
 _BATCH = 256  # events without a scan that are handed over together
 _MAX_EVENTS = 100_000
 _TICK_S = 0.005  # by the clock, what is due within one tick travels together
+_CAUGHT_UP_S, _CATCH_UP_S = 0.25, 60.0
 _IDLE_S = 0.1  # without events a live source's loop gets an empty batch, to look for answers
 _END: Any = object()
 
@@ -30,19 +31,27 @@ class EventQueue:
     def __init__(self, max_scans: int, may_drop: bool, metrics: EdgeMetrics) -> None:
         self._max_scans, self._may_drop, self._metrics = max_scans, may_drop, metrics
         self._batches: deque[list[TimedEvent]] = deque()
+        self._scans_in: deque[int] = deque()  # each of them
         self._scans = self._events = 0
         self._changed = threading.Condition()
         self._ended = False
         self._closed = False
         self._error: BaseException | None = None
 
-    def put(self, batch: list[TimedEvent]) -> bool:
-        """Adds a batch; False when nobody reads any more."""
+    @property
+    def scans(self) -> int:
+        """Scans that wait."""
+        return self._scans
+
+    def put(self, batch: list[TimedEvent], wait: bool = False) -> bool:
+        """Adds a batch; False when nobody reads any more. wait: for room, where a scan would be dropped otherwise."""
         with self._changed:
-            if not self._may_drop:
+            if wait or not self._may_drop:
                 self._changed.wait_for(lambda: self._scans < self._max_scans or self._closed)
+            scans = sum(isinstance(data, Scan) for _, data in batch)
             self._batches.append(batch)
-            self._scans += _scans(batch)
+            self._scans_in.append(scans)
+            self._scans += scans
             self._events += len(batch)
             while self._may_drop and self._scans > self._max_scans:
                 self._drop_oldest_scan()
@@ -53,18 +62,24 @@ class EventQueue:
             return not self._closed
 
     def _drop_oldest_scan(self) -> None:
-        batch = next(b for b in self._batches if _scans(b))
+        which = next(i for i, scans in enumerate(self._scans_in) if scans)
+        batch = self._batches[which]
         index = next(i for i, (_, data) in enumerate(batch) if isinstance(data, Scan))
         del batch[index]
+        self._scans_in[which] -= 1
         self._scans -= 1
         self._events -= 1
         self._metrics.drop("queue_full")
 
     def _drop_oldest_batch(self) -> None:
-        batch = self._batches.popleft()
-        self._scans -= _scans(batch)
-        self._events -= len(batch)
+        batch = self._next()
         self._metrics.drop("queue_full", len(batch))
+
+    def _next(self) -> list[TimedEvent]:
+        batch = self._batches.popleft()
+        self._scans -= self._scans_in.popleft()
+        self._events -= len(batch)
+        return batch
 
     def end(self, error: BaseException | None = None) -> None:
         """No more batches; `error` is raised in the loop after the last one."""
@@ -89,16 +104,10 @@ class EventQueue:
                     if self._error is not None:
                         raise self._error
                     return
-                batch = self._batches.popleft()
-                self._scans -= _scans(batch)
-                self._events -= len(batch)
+                batch = self._next()
                 self._metrics.queue_events.set(self._events)
                 self._changed.notify_all()
             yield batch
-
-
-def _scans(batch: list[TimedEvent]) -> int:
-    return sum(isinstance(data, Scan) for _, data in batch)
 
 
 class Reader(threading.Thread):
@@ -106,7 +115,8 @@ class Reader(threading.Thread):
 
     realtime: each event waits until as much time has passed as lies between it and the first in the recording.
     Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
-    live_offset_ns: of a live source (Source.live_offset_ns): nothing waits, and a batch is what came together.
+    live_offset_ns: of a live source (Source.live_offset_ns): nothing waits, and a batch is what came together. What has
+    come while the agent started is handed over as fast as it is taken, and not dropped; from then on the newest counts.
     began_s: when the first event is due, on the monotonic clock; what is past when the reader gets there is skipped,
     and its scans are counted in `passed_scans`.
     """
@@ -125,6 +135,8 @@ class Reader(threading.Thread):
         self._stopped = threading.Event()
         self._began_s = began_s if self._paced else None
         self._origin_s = float("nan") if live_offset_ns is None else -live_offset_ns * 1e-9
+        self._catching_up = live_offset_ns is not None
+        self._start_s = 0.0
         self.cpu_s = 0.0
         self.pulse = Pulse("source")
         self.passed_scans = 0
@@ -161,7 +173,14 @@ class Reader(threading.Thread):
                 return
             yield event
 
+    def _is_late(self, arrival_ns: int) -> bool:
+        """A live event has waited, or others before it still do, and there is time to catch up."""
+        now_s = time.monotonic()
+        behind = now_s - self.due_s(arrival_ns) > _CAUGHT_UP_S or self._queue.scans > 1
+        return behind and now_s < self._start_s + _CATCH_UP_S
+
     def _read(self) -> None:
+        self._start_s = time.monotonic()
         batch: list[TimedEvent] = []
         listening = self._began_s is None
         put_s = 0.0
@@ -170,7 +189,7 @@ class Reader(threading.Thread):
             if event is None:  # nothing more has come; the loop looks for answers even if nothing ever does
                 if batch or time.monotonic() - put_s > _IDLE_S:
                     put_s = time.monotonic()
-                    if not self._queue.put(batch):
+                    if not self._queue.put(batch, self._catching_up):
                         return
                     batch = []
                 if self._stopped.is_set():
@@ -192,7 +211,8 @@ class Reader(threading.Thread):
                     self._stopped.wait(max(wait_s, _TICK_S))
             batch.append(event)
             if isinstance(event[1], Scan) or len(batch) >= _BATCH:
-                if not self._queue.put(batch):
+                self._catching_up = self._catching_up and self._is_late(event[0])
+                if not self._queue.put(batch, self._catching_up):
                     return
                 batch = []
             if self._stopped.is_set():

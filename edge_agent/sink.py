@@ -16,6 +16,7 @@ from edge_agent.feed import PoseFeed
 from edge_agent.loop import Imu
 from edge_agent.odometry.outage import Correction
 from edge_agent.outputs import Outputs
+from edge_agent.ros.output import RosOutput
 from edge_agent.tally import Tally
 from edge_agent.types import EncodedFrame, OdomPoses
 from edge_agent.wire import Answer, frame_message
@@ -52,11 +53,16 @@ class Progress:
 
 @dataclass(slots=True)
 class AgentSink:
-    """Implements edge_agent.loop.Sink; outputs and feed may be switched off (None)."""
+    """Implements edge_agent.loop.Sink; outputs, feed and ros may be switched off (None).
+
+    by_scan: there are no IMU-rate poses: ROS gets those of the scans.
+    """
 
     tally: Tally
     outputs: Outputs | None
     feed: PoseFeed | None
+    ros: RosOutput | None
+    by_scan: bool
     progress: Progress
     run_id: str
     reader_cpu_s: Callable[[], float]
@@ -74,6 +80,8 @@ class AgentSink:
         self.tally.frame(frame)
         if self.outputs is not None:
             self.outputs.odom(frame.stamp_ns, T_odom_lidar)
+        if self.ros is not None and self.by_scan:
+            self.ros.publish(OdomPoses.of(frame.stamp_ns, T_odom_lidar))
         self.keep_run()
         self.report_drops()
         return frame_message(frame, CODEC_VERSION)
@@ -96,3 +104,5 @@ class AgentSink:
             self.outputs.imu(poses, imu.T_map_odom)
         if self.feed is not None:
             self.feed.publish(poses, imu.T_map_odom, imu.covariance, state)
+        if self.ros is not None:
+            self.ros.publish(poses)

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from splitslam import se3
 from splitslam.features import FeatureFrame, Motion
 from splitslam.scan import GnssFix
 
@@ -42,6 +43,12 @@ class OdomPoses:
     positions_m: NDArray[np.float64]
     quats_xyzw: NDArray[np.float64]
     velocities_mps: NDArray[np.float64]
+
+    @staticmethod
+    def of(stamp_ns: int, T_odom_lidar: NDArray[np.float64]) -> OdomPoses:
+        """One pose (4, 4), its velocity not known (NaN)."""
+        quat = se3.quat_from_matrix(T_odom_lidar[:3, :3])
+        return OdomPoses(np.array([stamp_ns]), T_odom_lidar[None, :3, 3], quat[None], np.full((1, 3), np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

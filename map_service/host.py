@@ -245,14 +245,14 @@ class SessionHost:
             return True
         for session in self.sessions.all():
             if session.commit_due and not session.finishing:
-                self._guarded(session, session.commit)
+                self._endings.guarded(session, session.commit)
                 return True
         return False
 
     def look_after(self) -> None:
         """While there is time: what became of commits, sessions nobody came back to."""
         for session in self.sessions.all():
-            self._guarded(session, partial(self._look_after, session))
+            self._endings.guarded(session, partial(self._look_after, session))
         self._keep_quotas()
         for session in self._taken_over.of(self.sessions.all(), self._committer.run):
             self.sessions.drop(session.request.session_id)
@@ -268,17 +268,6 @@ class SessionHost:
             self._endings.handed(session)
         while session.held and session.stream is not None and not session.log.full:
             self._take(session, session.held.popleft())
-
-    def _guarded(self, session: Session, action: Callable[[], None]) -> None:
-        """This session's error must not end the others'."""
-        try:
-            action()
-        except FencedError as error:
-            self._endings.fenced(session, error)
-        except StoreError as error:
-            self._endings.store_failed(session, error)
-        except Exception:
-            self._endings.not_committed(session)
 
     def _keep_quotas(self) -> None:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""

@@ -153,8 +153,8 @@ class MapPipeline:
 
     def _on_mapped_ground(self, frame: FeatureFrame, track: Track) -> bool:
         """Takes another keyframe as reference where one has seen this ground, and the scan says that it still is so."""
-        r, s = track.registration, self.settings.ground
-        if r is None or not r.features or not self.tracker.doubt.as_usual(Fit.of(r), s.usual_share):
+        r, s, doubt = track.registration, self.settings.ground, self.tracker.doubt
+        if r is None or not r.features or doubt.state.changed or not doubt.as_usual(Fit.of(r), s.usual_share):
             return False
         covering = self.ground.covering(track.T_local_lidar, frame.stamp_ns, self.keyframes, self._chain())
         if covering is None:
@@ -177,6 +177,7 @@ class MapPipeline:
             if self.gnss is not None:
                 self.gnss.moved(covariance + u.since_lost(s.tracker.doubt))
         self.uncertainty.found = False
+        self.tracker.doubt.learnt()
         self.keyframes.add(frame, track, follows)
         self.ground.reference = index
         added = self.keyframes[index]

@@ -200,13 +200,21 @@ class Robot(Model):
         return hash(robot_to_yaml(self))
 
 
-def load_robot(path: Path) -> Robot:
-    """Reads a robot file; `lidar.metadata` is looked for beside it. InputError: one line, file, key, expectation."""
+def load_robot(path: Path, placed_elsewhere: bool = False) -> Robot:
+    """Reads a robot file; `lidar.metadata` is looked for beside it. InputError: one line, file, key, expectation.
+
+    placed_elsewhere: a missing T_lidar_imu is no mistake: somebody else may know it.
+    """
     data = config.parse_yaml(config.read_text(path), str(path))
     lidar = data.get("lidar")
     if isinstance(lidar, dict) and isinstance(lidar.get("metadata"), str):
         metadata = path.parent / lidar["metadata"]
         data["lidar"] = {**_from_metadata(metadata), **lidar, "metadata": str(metadata)}
+    imu = data.get("imu")
+    if placed_elsewhere and isinstance(imu, dict) and imu.get("topic") is not None and not data.get("T_lidar_imu"):
+        topic = config.validate(Imu, imu, str(path)).topic
+        robot = config.validate(Robot, data | {"imu": {k: v for k, v in imu.items() if k != "topic"}}, str(path))
+        return robot.model_copy(update={"imu": robot.imu and robot.imu.model_copy(update={"topic": topic})})
     return config.validate(Robot, data, str(path))
 
 

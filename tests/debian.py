@@ -17,8 +17,8 @@ CACHE = ROOT / "build" / "debian"
 _FETCH_S = 240
 
 
-def unpacked(*packages: str) -> Path:
-    """A folder as `/`, with these packages in it and nothing that they need besides.
+def unpacked(*packages: str, with_needs: bool = False) -> Path:
+    """A folder as `/`, with these packages in it, and with_needs: all that they need and this machine has not.
 
     Fetched once, whoever asks; where they cannot be fetched a test is skipped on a laptop and fails in CI.
     """
@@ -26,22 +26,10 @@ def unpacked(*packages: str) -> Path:
     CACHE.mkdir(parents=True, exist_ok=True)
     with (CACHE / "lock").open("w") as lock:  # several test processes want it at once
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / ".unpacked").exists() and (problem := _fetch(folder, packages)):
+        if not (folder / ".unpacked").exists() and (problem := _fetch(folder, packages, with_needs)):
             reason = f"Debian's {', '.join(packages)} cannot be fetched: {problem}"
             pytest.fail(reason) if os.environ.get("CI", "").lower() in ("true", "1") else pytest.skip(reason)
     return folder
-
-
-def with_what_it_needs(package: str) -> tuple[str, ...]:
-    """The package first, and all that would have to be installed with it on this machine."""
-    said = subprocess.run(
-        ("apt-get", "--simulate", "--no-install-recommends", "install", package),
-        capture_output=True,
-        text=True,
-        timeout=_FETCH_S,
-    )
-    needed = [line.split()[1] for line in said.stdout.splitlines() if line.startswith("Inst ")]
-    return (package, *sorted(set(needed) - {package}))
 
 
 def binary(name: str, package: str) -> Path:
@@ -56,7 +44,7 @@ def chromium() -> tuple[Path, dict[str, str]]:
         _install("chromium")
     if found := shutil.which("chromium"):
         return Path(found), {}
-    root = unpacked(*with_what_it_needs("chromium"))
+    root = unpacked("chromium", with_needs=True)
     libraries = sorted({str(path.parent) for path in root.glob("usr/lib/**/*.so*")})
     return root / "usr/lib/chromium/chromium", {
         "LD_LIBRARY_PATH": ":".join([str(root / "usr/lib/chromium"), *libraries]),
@@ -73,24 +61,35 @@ def _install(package: str) -> None:
         _run(CACHE, "apt-get", "install", "-y", "-qq", "--no-install-recommends", package)
 
 
-def _fetch(folder: Path, packages: Sequence[str]) -> str | None:
+def _fetch(folder: Path, packages: Sequence[str], with_needs: bool) -> str | None:
     """Why they are not there now, or None."""
     if not (shutil.which("apt-get") and shutil.which("dpkg")):
         return "apt-get and dpkg are needed"
     folder.mkdir(exist_ok=True)
-    problem = _run(folder, "apt-get", "download", *packages)
+    problem = _download(folder, packages, with_needs)
     if problem is not None:  # no package lists, or old ones: ours are as good, and need no root
         lists, archives = CACHE / "lists", CACHE / "archives"
         for made in (lists, archives):
             (made / "partial").mkdir(parents=True, exist_ok=True)
         ours = [f"-oDir::State::Lists={lists}", f"-oDir::Cache={archives}", "-oAPT::Sandbox::User="]
-        problem = _run(folder, "apt-get", *ours, "update") or _run(folder, "apt-get", *ours, "download", *packages)
+        problem = _run(folder, "apt-get", *ours, "update") or _download(folder, packages, with_needs, ours)
     for archive in sorted(folder.glob("*.deb")):
         problem = problem or _run(folder, "dpkg", "-x", str(archive), str(folder))
         archive.unlink()
     if problem is None:
         (folder / ".unpacked").touch()
     return problem
+
+
+def _download(folder: Path, packages: Sequence[str], with_needs: bool, options: Sequence[str] = ()) -> str | None:
+    if with_needs:
+        asked = ["apt-get", *options, "install", "--simulate", "--no-install-recommends", *packages]
+        done = subprocess.run(asked, capture_output=True, text=True, timeout=_FETCH_S)
+        needed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith("Inst ")]
+        if done.returncode or not needed:
+            return done.stderr.strip() or "nothing to install"
+        packages = needed
+    return _run(folder, "apt-get", *options, "download", *packages)
 
 
 def _run(folder: Path, *command: str) -> str | None:

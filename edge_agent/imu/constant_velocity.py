@@ -81,6 +81,11 @@ class ConstantVelocityNode:
         return True
 
     @property
+    def velocity_covariance(self) -> Array:
+        """(3, 3): what a velocity may change between two answers."""
+        return np.eye(3) * self.settings.no_imu_velocity_mps**2
+
+    @property
     def jumps(self) -> dict[str, float]:
         """Zero: `odom` is made of predictions alone."""
         return {"odom_max_m": 0.0, "odom_max_deg": 0.0}

@@ -110,6 +110,11 @@ class ImuNode:
             return {"factors": 0, "slips": 0, "scale": None}
         return {"factors": wheels.factors.count, "slips": wheels.slips, "scale": wheels.factors.scale}
 
+    @property
+    def velocity_covariance(self) -> Array:
+        """(3, 3) in `odom`: doubt of the velocity of the poses that were given out last."""
+        return self._live_P
+
     def T_odom_lidar_at(self, stamp_ns: int) -> Array:
         """The pose (4, 4) that was given out for `stamp_ns`, interpolated between IMU samples."""
         return self.output.at(stamp_ns)

@@ -15,9 +15,10 @@ from edge_agent.raw_ring import RawStream
 from edge_agent.sources.source import Tap
 from splitslam.errors import DataError, InputError
 
-_VELODYNE_TYPES = {
+_MORE_TYPES = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",  # not in the store of ROS 1
 }
 _EXPECTED = "expected a ROS 1 .bag, a ROS 2 bag folder, .db3 or .mcap"
 
@@ -106,12 +107,13 @@ def stream_of(connection: Connection) -> RawStream:
     )
 
 
-def typestore() -> Typestore:
-    """Types for ROS 2 recordings that carry no definitions (sqlite3 ones before Iron)."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
+def typestore(base: Stores = Stores.ROS2_HUMBLE) -> Typestore:
+    """Types where no definitions come along: ROS 2 recordings (sqlite3 ones before Iron), live graphs."""
+    store = get_typestore(base)
     types: dict[str, Any] = {}
-    for name, definition in _VELODYNE_TYPES.items():
-        types.update(get_types_from_msg(definition, name))
+    for name, definition in _MORE_TYPES.items():
+        if name not in store.fielddefs:
+            types.update(get_types_from_msg(definition, name))
     store.register(types)
     return store
 

@@ -47,6 +47,11 @@ class Sequencer:
         self._wheel_clock = StreamClock[WheelSamples]("wheels", "wheel_", self.dropped, self.times)
         self._gnss_clock = StreamClock[GnssFix]("gnss", "gnss_", self.dropped, self.times)
 
+    @property
+    def offset_ns(self) -> int:
+        """What the time of the run is ahead of the sensors' own, after their clock has stepped."""
+        return (self._imu_clock if self._imu else self._scan_clock).offset_ns
+
     def push(self, event: Scan | ImuSamples | WheelSamples | GnssFix, arrival_ns: int | None = None) -> list[Item]:
         """Takes one message; returns what may go to the pipeline now. arrival_ns: when it came, on a steady clock."""
         if isinstance(event, ImuSamples):

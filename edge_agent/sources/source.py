@@ -15,12 +15,18 @@ from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
 if TYPE_CHECKING:
-    from edge_agent.config import SourceConfig
+    import threading
+
+    from edge_agent.config import AgentConfig
     from edge_agent.metrics import EdgeMetrics
 
 Event = Scan | ImuSamples | WheelSamples | GnssFix
 TimedEvent = tuple[int, Event]  # arrival, ns
 Tap = Callable[[RawStream, int, bytes], None]  # stream, arrival ns, message as it came
+
+
+class StoppedError(Exception):
+    """The agent is to end, and its sensors have never been there."""
 
 
 @dataclass(slots=True)
@@ -60,10 +66,13 @@ class Source(Protocol):
     dropped: Counter[str]
     start_ns: int
     end_ns: int
-    scan_count: int | None
-    live_offset_ns: int | None
     beam_elevations_rad: NDArray[np.float32]
     tap: Tap | None
+
+    @property
+    def scan_count(self) -> int | None: ...
+    @property
+    def live_offset_ns(self) -> int | None: ...
 
     def events(self) -> Iterator[TimedEvent | None]:
         """(arrival ns, event). A message that cannot be used is counted in `dropped` and left out.
@@ -83,15 +92,23 @@ class Source(Protocol):
         ...
 
 
-def open_source(config: SourceConfig, robot: Robot, metrics: EdgeMetrics) -> Source:
-    """The source that the configuration names. Raises InputError (one line) for what the user can mend."""
-    if config.live is not None:
+def open_source(config: AgentConfig, robot: Robot, metrics: EdgeMetrics, stop: threading.Event) -> Source:
+    """The source that the configuration names. Raises InputError (one line) for what the user can mend.
+
+    stop: ends the wait for sensors that are not there yet, with StoppedError.
+    """
+    source = config.source
+    if source.live is not None:
         from edge_agent.sources.live.opening import open_live
 
-        live = open_live(config.live, robot)
+        live = open_live(source.live, robot)
         metrics.live_from(live.packets, lambda: live.presence.losses, live.clocks)
         return live
+    if source.ros is not None:
+        from edge_agent.ros.source import open_ros
+
+        return open_ros(source.ros, config.ros, robot, stop)
     from edge_agent.sources.recording import open_recording
 
-    assert config.recording is not None  # the configuration has exactly one
-    return open_recording(config.recording, robot, max_scans=config.max_scans)
+    assert source.recording is not None  # the configuration has exactly one
+    return open_recording(source.recording, robot, max_scans=source.max_scans)

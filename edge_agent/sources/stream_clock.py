@@ -49,6 +49,11 @@ class StreamClock(Generic[T]):
         self._quickest_ns: int | None = None  # arrival - stamp of the quickest message before the held ones
         self._arrivals: deque[tuple[int, int]] = deque()  # (arrival, arrival - stamp) of what has passed, newest last
 
+    @property
+    def offset_ns(self) -> int:
+        """What is added to stamps."""
+        return self._offset_ns
+
     def admit(self, first_ns: int, last_ns: int, item: T, arrival_ns: int | None = None) -> list[T]:
         """Messages that may pass now, in order. first_ns, last_ns: stamps in `item`; arrival_ns: on a steady clock."""
         message = _Message(first_ns, last_ns, item, arrival_ns)

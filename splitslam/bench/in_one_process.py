@@ -25,8 +25,7 @@ from edge_agent.odometry.outage import Correction, Outages
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings as EdgeSettings
-from edge_agent.sources import Event, Sequencer, open_recording
-from edge_agent.sources.recording import Counts
+from edge_agent.sources import Counts, Event, Sequencer, open_recording
 from edge_agent.types import EncodedFrame, MotionSource, OdomPoses
 from edge_agent.warm_up import warm_up
 from edge_agent.wire import Answer, answer, frame_message

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from splitslam.cli.bench import bench
+from splitslam.cli.export import export
 from splitslam.cli.operation import diagnose, top
 from splitslam.cli.recordings import check, demo, evaluate, run, sim
 from splitslam.cli.sensors import replay
@@ -22,6 +23,7 @@ _COMMANDS = {
     "eval": evaluate,
     "run": run,
     "check": check,
+    "export": export,
     "diagnose": diagnose,
     "demo": demo,
     "top": top,

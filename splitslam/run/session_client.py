@@ -21,6 +21,7 @@ from splitslam.wire import types_pb2 as types
 
 _CALL_S = 30.0
 _STREAM_S = 600.0
+_LONG_S = 6 * 3600.0
 
 
 class SessionClient:
@@ -58,6 +59,18 @@ class SessionClient:
                 pose = _numbers(piece.pose_map_lidar)
                 self.keyframes.append(KeyframeRow(piece.keyframe, piece.point_count, pose))
                 yield piece.points
+
+    def map_messages(self, voxel_m: float) -> Iterator[pb.StreamMapResponse]:
+        """Every keyframe with its points; with voxel_m > 0 one point a voxel. A large map may take its time."""
+        with _named("StreamMap"):
+            request = pb.StreamMapRequest(session_id=self._id, voxel_m=voxel_m)
+            yield from self._stub.StreamMap(request, timeout=_LONG_S, metadata=self._metadata)
+
+    def graph_messages(self) -> Iterator[pb.PoseGraphResponse]:
+        """The factor graph in parts."""
+        with _named("PoseGraph"):
+            request = pb.PoseGraphRequest(session_id=self._id)
+            yield from self._stub.PoseGraph(request, timeout=_STREAM_S, metadata=self._metadata)
 
 
 def as_trajectory(poses: list[types.StampedPose]) -> Trajectory:

@@ -10,7 +10,7 @@ import pytest
 from edge_agent.metrics import EdgeMetrics, summary
 from edge_agent.odometry.outage import OutageReport
 from edge_agent.rate import RateControl, RateSettings
-from edge_agent.sources.recording import Counts
+from edge_agent.sources import Counts
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.tcp_meter import TcpBytes
 from splitslam.errors import InputError

@@ -10,7 +10,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.reader import EventQueue, Reader, TimedEvent
 from splitslam.errors import InputError
 from splitslam.scan import Scan
-from tests.edge_agent.test_loop import imu_at, scan
+from tests.edge_agent.test_loop import SCAN_NS, imu_at, scan
 
 
 def events(count: int, imu_per_scan: int = 10, step_ns: int = 10_000_000) -> Iterator[TimedEvent]:
@@ -150,3 +150,40 @@ def test_of_a_live_source_what_has_come_is_handed_on_at_once_and_while_nothing_c
     started_s = time.monotonic()
     reader.close()
     assert time.monotonic() - started_s < 0.5
+
+
+def live_scans(kept: int, then: int) -> Iterator[TimedEvent | None]:
+    """Scans that have come during the last seconds, ten a second, and others that come as fast as they are taken."""
+    now_ns = time.monotonic_ns()
+    for k in range(kept):
+        yield now_ns - (kept - k) * 100_000_000, scan(k)
+    yield None
+    for k in range(kept, kept + then):
+        yield time.monotonic_ns(), scan(k)
+    yield None
+
+
+def test_what_came_while_the_agent_started_is_caught_up_with_and_not_dropped():
+    metrics = EdgeMetrics()
+    queue = EventQueue(5, may_drop=True, metrics=metrics)
+    Reader(live_scans(40, 0), queue, realtime=True, live_offset_ns=0).start()
+    numbers = []
+    for batch in queue.batches():
+        time.sleep(0.002)
+        numbers += [event.stamp_ns // SCAN_NS for _, event in batch if isinstance(event, Scan)]
+    assert numbers == list(range(40))
+    assert metrics.dropped == {}
+
+
+def test_once_it_has_caught_up_the_newest_scans_count():
+    metrics = EdgeMetrics()
+    queue = EventQueue(5, may_drop=True, metrics=metrics)
+    reader = Reader(live_scans(10, 100), queue, realtime=True, live_offset_ns=0)
+    reader.start()
+    taken = 0
+    for batch in queue.batches():
+        if taken == 11:  # one that has just come, and nothing waits: caught up
+            reader.join(10.0)
+        taken += sum(isinstance(event, Scan) for _, event in batch)
+    assert metrics.dropped["queue_full"] >= 80
+    assert taken + metrics.dropped["queue_full"] == 110

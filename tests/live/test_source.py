@@ -17,6 +17,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.raw_ring import RawRing
 from edge_agent.reader import EventQueue, Reader
 from edge_agent.sources import open_recording
+from edge_agent.sources.live import udp_port
 from edge_agent.sources.live.opening import open_live
 from splitslam.diagnose.raw import write_raw
 from splitslam.errors import InputError
@@ -205,3 +206,17 @@ def free_port() -> Callable[[], int]:
             return found.getsockname()[1]
 
     return find
+
+
+def test_a_reader_that_was_held_up_takes_what_waited_for_it_as_one_stream(monkeypatch: pytest.MonkeyPatch):
+    source = open_live(wire.config(), robot())
+    port = wire.ports_of(source)[1]
+    monkeypatch.setattr(udp_port, "_AT_ONCE", 40)
+    send_packets(port, 0, 152)
+    time.sleep(0.4)  # longer than what counts as quiet
+    listener = wire.Listener(source)
+    try:
+        listener.until_quiet()
+    finally:
+        listener.close()
+    assert wire.counts(source, "lidar") == {"start": 76, "used": 76}

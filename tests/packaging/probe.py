@@ -1,6 +1,7 @@
 """Run in a fresh interpreter: imports every module of one side with all other installed packages hidden.
 
-argv: JSON {packages, allowed}. Prints JSON {modules, files}: all that was loaded, and the files of ours among it.
+argv: JSON {packages, without, allowed}.
+Prints JSON {modules, files}: all that was loaded, and the files of ours among it.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ def main() -> None:
     for name in request["packages"]:
         package = importlib.import_module(name)
         for module in pkgutil.walk_packages(getattr(package, "__path__", []), f"{name}."):
-            importlib.import_module(module.name)
+            if not request["without"] or not f"{module.name}.".startswith(f"{request['without']}."):
+                importlib.import_module(module.name)
     tops = ("splitslam", "edge_agent", "map_service", "fpga_overlay")
     ours = [module for name, module in sys.modules.items() if name.partition(".")[0] in tops]
     files = sorted({file for module in ours if (file := getattr(module, "__file__", None))})

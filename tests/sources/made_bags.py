@@ -34,7 +34,7 @@ def write_bag(folder: Path, kind: str, messages: list[Message]) -> Path:
         for topic, msgtype, arrival_ns, fields in messages:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
-            message = _build(store, msgtype, fields, kind == ROS1)
+            message = build(store, msgtype, fields, kind == ROS1)
             raw = store.serialize_ros1(message, msgtype) if kind == ROS1 else store.serialize_cdr(message, msgtype)
             writer.write(connections[topic], arrival_ns, raw)
     return path
@@ -162,7 +162,8 @@ HESAI = [
 PLAIN = [("x", "<f4", 0), ("y", "<f4", 4), ("z", "<f4", 8)]
 
 
-def _build(store: Any, msgtype: str, fields: dict[str, Any], ros1: bool) -> Any:
+def build(store: Any, msgtype: str, fields: dict[str, Any], ros1: bool) -> Any:
+    """A record of the store's types."""
     types = store.types
     header = _header(types, fields["header"], ros1)
     if msgtype == CLOUD:

@@ -83,10 +83,11 @@ class LiveSource:
         try:
             while not self._ending:
                 began_s = time.monotonic()
-                for input in self._ready():
+                ready = self._ready()
+                for input in ready:
                     for data, arrival_ns in input.port.read():
                         yield from self._heard(input, input.feed.take(data, arrival_ns), arrival_ns)
-                yield from self._look_around()
+                yield from self._look_around(ready)
                 yield None
                 self._sleep(_TICK_S - (time.monotonic() - began_s))
         finally:
@@ -135,11 +136,11 @@ class LiveSource:
         for reading in readings:
             yield from self._pass(reading, arrival_ns)
 
-    def _look_around(self) -> Iterator[TimedEvent]:
-        """What happens because nothing happens."""
+    def _look_around(self, ready: Sequence[Input]) -> Iterator[TimedEvent]:
+        """What happens because nothing happens. ready: had something, and may have more that came long ago."""
         now_ns = self._arrivals.now_ns()
         for input in self.inputs:
-            if not input.quiet and now_ns - input.came_ns > _QUIET_NS:
+            if not input.quiet and input not in ready and now_ns - input.came_ns > _QUIET_NS:
                 input.quiet = True
                 for reading in input.feed.quiet():
                     yield from self._pass(reading, input.came_ns)
