@@ -73,8 +73,6 @@ def test_map_and_trajectory_of_a_finished_run_are_visible(browser: Chromium, tmp
             time.sleep(0.5)
         if out := os.environ.get("SPLITSLAM_PICTURES"):
             browser.save(Path(out, "browser.png"))
-        fetched = browser.evaluate("performance.getEntriesByType('resource').map(entry => entry.name)")
-    assert [url for url in fetched if not url.startswith("http://127.0.0.1:")] == [], "the page asks nobody else"
     assert way.sum() > 300, "the corrected trajectory"
     assert walls.sum() > 3_000, "the map"
     rows, columns = np.nonzero(way)
