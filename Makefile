@@ -112,7 +112,7 @@ proto-baseline: $(WIRE_TOOLS) ## take today's contract as what `buf breaking` ho
 lock: ## newest versions that pyproject.toml allows -> requirements/lock.txt, requirements/fpga.txt
 	@test -x .venv-lock/bin/uv || { $(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install -qq uv; }
 	.venv-lock/bin/uv pip compile pyproject.toml requirements/ouster.in --quiet --universal --fork-strategy fewest --python-version 3.11 --upgrade \
-	    --extra edge --extra server --extra sim --extra viz --extra stack --extra ros2 --extra bench --extra dev \
+	    --extra edge --extra server --extra sim --extra viz --extra view --extra stack --extra ros2 --extra bench --extra export --extra dev \
 	    --no-emit-index-url --no-emit-find-links --no-header --output-file $(LOCK)
 	.venv-lock/bin/uv pip compile pyproject.toml requirements/fpga.in --quiet --universal --fork-strategy fewest --python-version 3.11 \
 	    --upgrade --extra edge --extra server --extra viz \

@@ -1,8 +1,8 @@
 """Memory of the edge agent over minutes of recording: `python -m benchmarks.edge_memory --help`.
 
-A recording is played over and over, as fast as it goes, through the agent as it is installed, with a map service in a
-process of its own. At the seam of two laps the robot stands elsewhere at once; the service finds it again. Nothing is
-kept for a report, as on a robot.
+A recording, and then a part of it over and over, goes through the agent as it is installed, as fast as it goes, with a
+map service in a process of its own. The part should end where it begins: at its seam the robot stands elsewhere at
+once. Nothing is kept for a report, as on a robot.
 """
 
 from __future__ import annotations
@@ -48,10 +48,14 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 class Laps:
-    """A recording again and again, its stamps going on; says how much memory the process has after every 50th scan."""
+    """A recording up to `end_s`, then from `begin_s` to `end_s` again and again, with stamps that go on.
 
-    def __init__(self, path: Path, robot: Robot, minutes: float) -> None:
-        self._path, self._end_ns = path, round(minutes * 60e9)
+    Says how much memory the process has after every 50th scan.
+    """
+
+    def __init__(self, path: Path, robot: Robot, minutes: float, begin_s: float, end_s: float) -> None:
+        self._path, self._last_ns = path, round(minutes * 60e9)
+        self._begin_ns, self._end_ns = round(begin_s * 1e9), round(end_s * 1e9)
         self._first = open_recording(path, robot)
 
     def __getattr__(self, name: str) -> Any:
@@ -59,28 +63,37 @@ class Laps:
 
     def events(self) -> Iterator[tuple[int, Event]]:
         """See Recording.events; until so much time has passed."""
-        recording, shift_ns, scans = self._first, 0, 0
+        scans = 0
+        for shift_ns, arrival_ns, event in self._shifted():
+            passed_ns = arrival_ns + shift_ns - self._first.start_ns
+            if passed_ns > self._last_ns:
+                return
+            if isinstance(event, Scan):
+                scans += 1
+                if scans % _EVERY_SCANS == 0:
+                    print(json.dumps([round(passed_ns * 1e-9, 1), resident_bytes() / 1e6]), flush=True)
+            yield arrival_ns + shift_ns, shifted(event, shift_ns)
+
+    def _shifted(self) -> Iterator[tuple[int, int, Event]]:
+        recording, shift_ns = self._first, 0
         while True:
             for arrival_ns, event in recording.events():
-                if arrival_ns + shift_ns - self._first.start_ns > self._end_ns:
-                    recording.close()
-                    return
-                if isinstance(event, Scan):
-                    scans += 1
-                    if scans % _EVERY_SCANS == 0:
-                        passed_s = (arrival_ns + shift_ns - self._first.start_ns) * 1e-9
-                        print(json.dumps([round(passed_s, 1), resident_bytes() / 1e6]), flush=True)
-                yield arrival_ns + shift_ns, shifted(event, shift_ns)
-            shift_ns += recording.end_ns - recording.start_ns + _SCAN_NS
+                at_ns = arrival_ns - self._first.start_ns
+                if at_ns > self._end_ns:
+                    break
+                if shift_ns == 0 or at_ns >= self._begin_ns:
+                    yield shift_ns, arrival_ns, event
+            recording.close()
+            shift_ns += min(self._end_ns, recording.end_ns - recording.start_ns) - self._begin_ns + _SCAN_NS
             recording = open_recording(self._path, self._first.robot)
 
 
-def play(agent: Path, minutes: float) -> None:
+def play(agent: Path, minutes: float, begin_s: float, end_s: float) -> None:
     """In a process of its own: the agent with its configuration, on a recording that does not end before."""
 
-    def laps(source: SourceConfig, robot: Robot, metrics: EdgeMetrics) -> Source:
-        assert source.recording is not None
-        return Laps(source.recording, robot, minutes)  # pyright: ignore[reportReturnType]
+    def laps(config: SourceConfig, robot: Robot, metrics: EdgeMetrics) -> Source:
+        assert config.recording is not None
+        return Laps(config.recording, robot, minutes, begin_s, end_s)  # pyright: ignore[reportReturnType]
 
     daemon.open_source = laps
     daemon.run_agent(config.load(AgentConfig, agent), threading.Event())
@@ -98,16 +111,18 @@ def verdict(samples: list[tuple[float, float]]) -> dict[str, float]:
 def main(
     recording: Annotated[Path, typer.Argument(help="A bag, its robot file beside it.")],
     minutes: Annotated[float, typer.Option(min=0.1, help="Of recording time.")] = 10.0,
+    begin: Annotated[float, typer.Option(min=0, help="Of the part that is repeated, s.")] = 0.0,
+    end: Annotated[float, typer.Option(help="Its end, s.")] = 1e6,
     out: Annotated[Path | None, typer.Option(help="JSON of all samples.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit code 1 when a bar is missed.")] = False,
     child: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Plays RECORDING for so many minutes and prints how much memory the agent has, and by how much it grows."""
     if child is not None:
-        play(child, minutes)
+        play(child, minutes, begin, end)
         return
     with tempfile.TemporaryDirectory(prefix="edge-memory-") as folder:
-        samples = _played(recording, minutes, Path(folder))
+        samples = _played(recording, ("--minutes", minutes, "--begin", begin, "--end", end), Path(folder))
     found = verdict(samples)
     result = {"recording": str(recording), "minutes": minutes, **found, "bars": BARS, "load": os.getloadavg()[0]}
     if out is not None:
@@ -117,14 +132,14 @@ def main(
         sys.exit(1)
 
 
-def _played(recording: Path, minutes: float, work: Path) -> list[tuple[float, float]]:
+def _played(recording: Path, part: tuple[str | float, ...], work: Path) -> list[tuple[float, float]]:
     agent, service = configs(RunOptions(recording, recording.with_suffix(".yaml"), work / "out"), work)
     service_file, agent_file = work / "map.yaml", work / "agent.yaml"
     service_file.write_text(config.dump(service))
     with embedded_service(PROGRAMS.map_service, service_file) as running:
         quiet = agent.output.model_copy(update={"dir": None, "progress": False})
         agent_file.write_text(config.dump(agent.model_copy(update={"server": running.address, "output": quiet})))
-        command = [sys.executable, "-m", "benchmarks.edge_memory", str(recording), "--minutes", str(minutes)]
+        command = [sys.executable, "-m", "benchmarks.edge_memory", str(recording), *map(str, part)]
         done = subprocess.run([*command, "--child", str(agent_file)], stdout=subprocess.PIPE, text=True, check=False)
     samples = [tuple(json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
     if done.returncode or not samples:

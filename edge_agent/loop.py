@@ -298,10 +298,9 @@ class AgentLoop:
 
 def _together(run: Iterable[TimedEvent]) -> tuple[ImuSamples, list[int]]:
     """Messages of the IMU as one, and when each of its samples came."""
-    samples: list[ImuSamples] = []
-    arrivals_ns: list[int] = []
-    for arrival_ns, message in run:
-        assert isinstance(message, ImuSamples)
-        samples.append(message)
-        arrivals_ns += [arrival_ns] * len(message)
-    return ImuSamples.joined(samples), arrivals_ns
+    arrived, messages = zip(*run, strict=True)
+    samples = ImuSamples.joined(messages)
+    if len(samples) == len(messages):  # as most drivers have it
+        return samples, list(arrived)
+    counts = [len(message) for message in messages]
+    return samples, [ns for ns, count in zip(arrived, counts, strict=True) for _ in range(count)]

@@ -18,7 +18,8 @@ CAUSES = ("loop", "gnss", "relocalise", "registration", "outage")
 _OF_A_STREAM = ("duplicate", "time_backwards", "time_jump")
 DROP_REASONS = (
     # a scan, before it is a frame
-    *("decode", "point_time", "empty", "nan", "few_points", "budget", "too_many_features", "queue_full", *_OF_A_STREAM),
+    *("decode", "point_time", "empty", "nan", "few_points", "budget", "motion", "too_many_features", "queue_full"),
+    *_OF_A_STREAM,
     # a message of any live sensor, from before its clock was locked
     "clock_changed",
     # messages of the other sensors

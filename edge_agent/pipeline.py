@@ -18,7 +18,7 @@ from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, MotionSource
 from splitslam import codec
 from splitslam.errors import DataError
-from splitslam.features import FeatureFrame
+from splitslam.features import FeatureFrame, Knots, Motion
 from splitslam.robot import Robot
 from splitslam.scan import Scan, ScanPacket
 
@@ -44,13 +44,13 @@ class EdgePipeline:
         self._rings = rings
 
     def process(self, packet: ScanPacket) -> EncodedFrame:
-        """A scan to its encoded frame. DataError (`empty`, `few_points`, `budget`) drops it; no seq is used up."""
+        """A scan to its encoded frame. DataError (`empty`, `few_points`, `budget`, `motion`) drops it; no seq used."""
         scan, clock = packet.scan, StageClock()
 
         # Image node. A scan that is dropped must not count as the previous one of the Imu node: so that comes first.
         self._check(scan)
         motion = self.imu.motion_over(scan.stamp_ns, scan.end_ns)  # T_prev_lidar: the paper's T_ini; knots
-        knots = codec.quantise_knots(self.image_node.effective(motion.knots))
+        knots = self._knots(motion)
         clock.lap("motion")
         image = self.image_node.image(scan, knots)
         self.dropped_points["duplicate"] += image.duplicates
@@ -103,6 +103,13 @@ class EdgePipeline:
             surfs=len(frame.surfs),
             features=own,
         )
+
+    def _knots(self, motion: Motion) -> Knots:
+        """The motion that is removed, as it travels. One that is beyond all bounds costs the scan, not the agent."""
+        try:
+            return codec.quantise_knots(self.image_node.effective(motion.knots))
+        except ValueError as error:
+            raise DataError("motion", str(error)) from None
 
     def _check(self, scan: Scan) -> None:
         usable = known_points(scan.ring, self._rings)

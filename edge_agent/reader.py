@@ -31,6 +31,7 @@ class EventQueue:
     def __init__(self, max_scans: int, may_drop: bool, metrics: EdgeMetrics) -> None:
         self._max_scans, self._may_drop, self._metrics = max_scans, may_drop, metrics
         self._batches: deque[list[TimedEvent]] = deque()
+        self._scans_in: deque[int] = deque()  # each of them
         self._scans = self._events = 0
         self._changed = threading.Condition()
         self._ended = False
@@ -47,8 +48,10 @@ class EventQueue:
         with self._changed:
             if wait or not self._may_drop:
                 self._changed.wait_for(lambda: self._scans < self._max_scans or self._closed)
+            scans = sum(isinstance(data, Scan) for _, data in batch)
             self._batches.append(batch)
-            self._scans += _scans(batch)
+            self._scans_in.append(scans)
+            self._scans += scans
             self._events += len(batch)
             while self._may_drop and self._scans > self._max_scans:
                 self._drop_oldest_scan()
@@ -59,18 +62,24 @@ class EventQueue:
             return not self._closed
 
     def _drop_oldest_scan(self) -> None:
-        batch = next(b for b in self._batches if _scans(b))
+        which = next(i for i, scans in enumerate(self._scans_in) if scans)
+        batch = self._batches[which]
         index = next(i for i, (_, data) in enumerate(batch) if isinstance(data, Scan))
         del batch[index]
+        self._scans_in[which] -= 1
         self._scans -= 1
         self._events -= 1
         self._metrics.drop("queue_full")
 
     def _drop_oldest_batch(self) -> None:
-        batch = self._batches.popleft()
-        self._scans -= _scans(batch)
-        self._events -= len(batch)
+        batch = self._next()
         self._metrics.drop("queue_full", len(batch))
+
+    def _next(self) -> list[TimedEvent]:
+        batch = self._batches.popleft()
+        self._scans -= self._scans_in.popleft()
+        self._events -= len(batch)
+        return batch
 
     def end(self, error: BaseException | None = None) -> None:
         """No more batches; `error` is raised in the loop after the last one."""
@@ -95,16 +104,10 @@ class EventQueue:
                     if self._error is not None:
                         raise self._error
                     return
-                batch = self._batches.popleft()
-                self._scans -= _scans(batch)
-                self._events -= len(batch)
+                batch = self._next()
                 self._metrics.queue_events.set(self._events)
                 self._changed.notify_all()
             yield batch
-
-
-def _scans(batch: list[TimedEvent]) -> int:
-    return sum(isinstance(data, Scan) for _, data in batch)
 
 
 class Reader(threading.Thread):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,12 +47,10 @@ def transform(T: NDArray[np.float64]) -> types.Transform:
 
 def matrix(message: types.Transform) -> NDArray[np.float64]:
     """Message -> (4, 4). Raises ValueError for what is no rigid transform."""
-    t = np.array([message.tx_m, message.ty_m, message.tz_m])
-    q = np.array([message.qx, message.qy, message.qz, message.qw])
-    norm = float(np.linalg.norm(q))
-    if not (np.isfinite(t).all() and 0.9 < norm < 1.1):  # also false for NaN
+    t, q = (message.tx_m, message.ty_m, message.tz_m), (message.qx, message.qy, message.qz, message.qw)
+    if not (all(map(math.isfinite, t)) and 0.9 < math.hypot(*q) < 1.1):  # also false for NaN
         raise ValueError("not a rigid transform")
-    return se3.from_quat(t, q)
+    return se3.from_quat(np.array(t), np.array(q))
 
 
 def frame_message(frame: EncodedFrame, codec_version: int) -> pb.Frame:
@@ -89,8 +88,8 @@ def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
         try:
             T_map_lidar, T_map_odom = matrix(message.pose_map_lidar), matrix(message.pose_map_odom)
             if message.covariance or not message.duplicate:
-                covariance = np.array(message.covariance, dtype=np.float64).reshape(6, 6)
-            axes = np.array(message.degenerate_axes, dtype=np.float64).reshape(-1, 6)
+                covariance = np.fromiter(message.covariance, np.float64).reshape(6, 6)
+            axes = np.fromiter(message.degenerate_axes, np.float64).reshape(-1, 6)
             if not (np.isfinite(covariance).all() and np.isfinite(axes).all()):
                 raise ValueError("covariance or axes not finite")
         except ValueError:

@@ -1,6 +1,6 @@
 """Who may do what: robots their own sessions, operators those of their site. Nobody else anything.
 
-| caller | EdgeService.Stream | Get, Trajectory, StreamMap, PoseService | List | Delete |
+| caller | EdgeService.Stream | Get, Trajectory, StreamMap, PoseGraph, PoseService, WatchScans | List | Delete |
 |---|---|---|---|---|
 | robot | as itself, at its site | its own sessions | | |
 | operator of a site | | of the site | of the site | of the site |
@@ -74,3 +74,13 @@ def check_reader(caller: Caller, robot_id: str, site_id: str | None) -> None:
             raise DeniedError("other_robot", f"{who}: expected a session of its own")
         return
     check_operator(caller, site_id or "")
+
+
+def check_watcher(caller: Caller, robot_id: str, site_id: str) -> tuple[str, str | None]:
+    """Whom of those asked for the caller may watch: a robot ("": all) and a site (None: all). Raises DeniedError."""
+    who = caller.identity
+    if who is not None and who.role == "robot":
+        if robot_id not in ("", who.name):
+            raise DeniedError("other_robot", f"{who}: expected a session of its own")
+        return who.name, None
+    return robot_id, check_operator(caller, site_id) or None

@@ -11,6 +11,7 @@ from sqlalchemy import Connection, Row, delete, func, select
 from map_service import schema
 from map_service.rows import unpack_pose
 from map_service.store import Store
+from map_service.types import FactorRecord
 from splitslam.errors import DataError
 
 _PAGE_ROWS = 1000
@@ -27,11 +28,24 @@ class Deleted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredKeyframe:
-    """One keyframe of the map. T_map_lidar: (4, 4) as corrected last; cloud: map_service.cloud's encoding."""
+    """One keyframe of the map. T_map_lidar: (4, 4) as corrected last; cloud: map_service.cloud's encoding.
+
+    stamp_ns: reference time of its scan.
+    """
 
     index: int
+    stamp_ns: int
     T_map_lidar: np.ndarray
     cloud: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredGraph:
+    """A session's graph. keyframes: (index, stamp_ns, T_map_lidar (4, 4)); tracker: as persistence.py writes it."""
+
+    keyframes: list[tuple[int, int, np.ndarray]]
+    factors: list[FactorRecord]
+    tracker: bytes
 
 
 class Catalog:
@@ -88,20 +102,31 @@ class Catalog:
                         raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
                     yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
-    def keyframes(self, key: int) -> Generator[StoredKeyframe]:
-        """Every keyframe with its cloud, one at a time."""
+    def keyframes(self, key: int, first: int = 0) -> Generator[StoredKeyframe]:
+        """Every keyframe from number `first` on with its cloud, one at a time."""
         k, c = schema.keyframes, schema.clouds
         with self._store.reading() as connection:
             query = (
-                select(k.c.keyframe, k.c.pose_map_lidar, c.c.cloud)
+                select(k.c.keyframe, k.c.stamp_ns, k.c.pose_map_lidar, c.c.cloud)
                 .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
-                .where(k.c.session == key)
+                .where(k.c.session == key, k.c.keyframe >= first)
                 .order_by(k.c.keyframe)
             )
             # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through
             with connection.execute(query.execution_options(yield_per=16)) as rows:
-                for index, pose, cloud in rows:
-                    yield StoredKeyframe(index, unpack_pose(pose), cloud)
+                for index, stamp_ns, pose, cloud in rows:
+                    yield StoredKeyframe(index, stamp_ns, unpack_pose(pose), cloud)
+
+    def graph(self, key: int) -> StoredGraph:
+        """A session's factor graph: where its keyframes are, every factor, and the small state of its pipeline."""
+        k, f = schema.keyframes, schema.factors
+        with self._store.reading() as connection:
+            tracker = connection.execute(select(schema.sessions.c.tracker).where(schema.sessions.c.id == key)).scalar()
+            poses = select(k.c.keyframe, k.c.stamp_ns, k.c.pose_map_lidar).where(k.c.session == key)
+            keyframes = [(i, ns, unpack_pose(pose)) for i, ns, pose in connection.execute(poses.order_by(k.c.keyframe))]
+            query = select(f.c.factor, f.c.kind, f.c.payload).where(f.c.session == key).order_by(f.c.factor)
+            factors = [FactorRecord(*row) for row in connection.execute(query)]
+        return StoredGraph(keyframes, factors, tracker or b"")
 
     def bytes_by_site(self) -> dict[str, int]:
         """What the sessions of each site have written, without the database's own overhead."""

@@ -55,6 +55,17 @@ class HandOver:
 
 
 @dataclass(frozen=True, slots=True)
+class Watch:
+    """Whose scans somebody looks at: of these robots, or of all. Said anew whenever somebody begins or ends to."""
+
+    robots: frozenset[str] = frozenset()
+    all_robots: bool = False
+
+    def wants(self, session_id: str) -> bool:
+        return self.all_robots or session_id.partition("/")[0] in self.robots
+
+
+@dataclass(frozen=True, slots=True)
 class DrainAll:
     """Answer what is queued, commit every session, say Handed for each stream and Drained, exit."""
 
@@ -74,6 +85,16 @@ class Reply:
     body: bytes
     answer: bool = False
     last: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What those who watch see of a session: a WatchScansResponse (serialised). stream: None without one."""
+
+    stream: int | None
+    session_id: str
+    site_id: str
+    body: bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,7 @@ class DoubtState:
     denser scans hold worse features. doubted: scans in a row. covariance (6, 6): of a pose that is carried and not
     believed, right tangent, rotation first; zero while it is. T_local_lost (4, 4): the last pose that was believed.
     ambiguous: places that are alike have been seen since. searches: so many since then, the next one in `wait` scans.
+    changed: the world is not what the map says, and no keyframe has shown it how it is.
     """
 
     levels: dict[int, tuple[float, int]] = field(default_factory=dict)
@@ -59,6 +60,7 @@ class DoubtState:
     ambiguous: bool = False
     searches: int = 0
     wait: int = 0
+    changed: bool = False
 
 
 class Doubt:
@@ -86,8 +88,13 @@ class Doubt:
         if fit.score < s.refuse_share * level:
             return Verdict.REFUSED
         if d.doubted > s.patience_scans:  # no place is better: this is what the world looks like now
-            d.levels[fit.octave], d.doubted = (fit.score, scans), 0
+            share, d.doubted, d.changed = fit.score / level, 0, True
+            d.levels = {octave: (share * usual, n) for octave, (usual, n) in d.levels.items()}
         return Verdict.DOUBTED
+
+    def learnt(self) -> None:
+        """A keyframe has been made: the map has what the world looks like here."""
+        self.state.changed = False
 
     def fits(self, fit: Fit) -> bool:
         """Is this about as well as scans fit where they were taken?"""
@@ -209,6 +216,7 @@ class Doubt:
             "ambiguous": d.ambiguous,
             "searches": d.searches,
             "wait": d.wait,
+            "changed": d.changed,
         }
 
     def load(self, data: dict) -> None:
@@ -223,4 +231,5 @@ class Doubt:
             data["ambiguous"],
             data["searches"],
             data["wait"],
+            data.get("changed", False),
         )

@@ -49,11 +49,18 @@ class Endings:
         if session.log.broken or not session.settled:
             self._sessions.drop(session.request.session_id)
 
-    def not_committed(self, session: Session) -> None:
-        """A defect: this session's error must not end the others'. Called where the exception is handled."""
-        _log.exception("commit failed", extra=fields(session_id=session.request.session_id))
-        self._sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
-        self._sessions.drop(session.request.session_id)
+    def guarded(self, session: Session, action: Callable[[], None]) -> None:
+        """Does something for a session whose error must not end the others'."""
+        try:
+            action()
+        except FencedError as error:
+            self.fenced(session, error)
+        except StoreError as error:
+            self.store_failed(session, error)
+        except Exception:
+            _log.exception("commit failed", extra=fields(session_id=session.request.session_id))
+            self._sessions.abort(session, "INTERNAL", "the session cannot be committed: see the service's log")
+            self._sessions.drop(session.request.session_id)
 
     def handed(self, session: Session) -> None:
         """Everything is durable: what the robot still sends on this stream is for the next replica."""

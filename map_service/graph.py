@@ -16,7 +16,7 @@ from gtsam.symbol_shorthand import X, Z
 from numpy.typing import NDArray
 
 from map_service.gnss import GnssMeasurement
-from map_service.growing import Poses
+from map_service.growing import GrowingArray, Poses
 from map_service.levelling import DOWN
 from map_service.settings import GraphSettings
 from map_service.types import FactorRecord
@@ -56,6 +56,7 @@ class PoseGraph:
         self.data: dict[int, Array] = {}  # datum -> T_enu_map
         self._fixes: dict[int, deque[tuple[int, Array, Array]]] = {}  # datum -> the newest: keyframe, antenna, enu
         self._fixes_of: Counter[int] = Counter()  # datum -> how many
+        self._all_fixes = GrowingArray((5,))  # keyframe, datum, enu: for people who look on
         self.fixed: set[int] = set()  # keyframes that have a fix
 
     # --- what the session adds --------------------------------------------------------------------------------
@@ -187,6 +188,7 @@ class PoseGraph:
         antenna, enu = np.array(p["antenna"]), np.array(p["enu"])
         self._fixes.setdefault(datum, deque(maxlen=_OFFSET_FIXES)).append((p["keyframe"], antenna, enu))
         self._fixes_of[datum] += 1
+        self._all_fixes.append([p["keyframe"], datum, *enu])
         self.fixed.add(p["keyframe"])
         error = _gnss_error(antenna, enu)
         noise = _cauchy(gtsam.noiseModel.Diagonal.Sigmas(np.array(p["sigmas"])), p.get("robust", 3.0))
@@ -208,6 +210,11 @@ class PoseGraph:
         T = self.data[datum]
         in_map = [self.poses[i][:3, :3] @ antenna + self.poses[i][:3, 3] for i, antenna, _ in newest]
         return np.median(np.array(in_map) @ T[:3, :3].T + T[:3, 3] - np.array([enu for *_, enu in newest]), axis=0)
+
+    def fixes(self, newest: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Of the newest so many GNSS factors: keyframes (m,), data (m,), antenna positions (m, 3) in `enu`, m."""
+        rows = self._all_fixes.rows[-newest:].copy()
+        return rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2:]
 
     # --- estimate ---------------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError as WireError
 
 from map_service.answered import Answered, AnsweredFrames
 from map_service.catalog import Catalog
-from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request
+from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request, Watch
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.endings import Endings
@@ -26,6 +26,7 @@ from map_service.store import FencedError, FinishedError, Store, StoreError
 from map_service.taken_over import TakenOver
 from map_service.tally import Tally
 from map_service.types import StateVersionError
+from map_service.views import SessionViews
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
@@ -47,7 +48,7 @@ class SessionHost:
         self.config, self.engine, self.store, self.tally = config, engine, store, Tally()
         self.sessions = HeldSessions(config.limits, send)
         self.closed: set[int] = set()  # streams that ended while their Open was still queued
-        self._send = send
+        self._send, self._views = send, SessionViews(send)
         self._endings = Endings(self.sessions, store, self.tally, send)
         self._committer = Committer(store, config.commit, self.tally)
         self._quotas = SiteQuotas(config.quota, Catalog(store))
@@ -77,6 +78,8 @@ class SessionHost:
                 self.sessions.drop(session_id)
             case HandOver(stream):
                 self._hand_over(stream)
+            case Watch():
+                self._views.watch(message)
             case DrainAll():
                 pass
 
@@ -182,6 +185,7 @@ class SessionHost:
             return
         session, frame, start_s = answered.session, answered.frame, time.monotonic()
         name = session.request.session_id
+        self._views.scan(session, frame, answered.answer)
         try:
             session.settle()
         except StoreError as error:
@@ -229,6 +233,7 @@ class SessionHost:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
         self._poison.pop(session.request.session_id, None)
         session.finish()
+        self._views.end(session)
 
     # -- care ---------------------------------------------------------------------------------------------------
 
@@ -240,14 +245,14 @@ class SessionHost:
             return True
         for session in self.sessions.all():
             if session.commit_due and not session.finishing:
-                self._guarded(session, session.commit)
+                self._endings.guarded(session, session.commit)
                 return True
         return False
 
     def look_after(self) -> None:
         """While there is time: what became of commits, sessions nobody came back to."""
         for session in self.sessions.all():
-            self._guarded(session, partial(self._look_after, session))
+            self._endings.guarded(session, partial(self._look_after, session))
         self._keep_quotas()
         for session in self._taken_over.of(self.sessions.all(), self._committer.run):
             self.sessions.drop(session.request.session_id)
@@ -263,17 +268,6 @@ class SessionHost:
             self._endings.handed(session)
         while session.held and session.stream is not None and not session.log.full:
             self._take(session, session.held.popleft())
-
-    def _guarded(self, session: Session, action: Callable[[], None]) -> None:
-        """This session's error must not end the others'."""
-        try:
-            action()
-        except FencedError as error:
-            self._endings.fenced(session, error)
-        except StoreError as error:
-            self._endings.store_failed(session, error)
-        except Exception:
-            self._endings.not_committed(session)
 
     def _keep_quotas(self) -> None:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""

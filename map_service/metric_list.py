@@ -249,6 +249,17 @@ RETENTION = counter(
 )
 RETENTION_BYTES = counter("splitslam_map_retention_bytes", "What they had stored", "As above.")
 
+VIEWERS = gauge(
+    "splitslam_map_viewers",
+    "Viewers that watch this replica's sessions",
+    "Each costs its worker about a millisecond a scan of what it watches; none: nothing.",
+)
+VIEWS_MISSED = counter(
+    "splitslam_map_views_missed",
+    "Scans that a viewer was not shown because it did not read in time",
+    "A viewer that hangs, or its link. No robot waits for it.",
+)
+
 # --- workers ----------------------------------------------------------------------------------------------------------
 
 QUEUE_FRAMES = gauge(

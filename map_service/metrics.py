@@ -40,6 +40,7 @@ class ServiceMetrics:
         self.drained, self.draining = self._family(m.DRAINED), self._family(m.DRAINING)
         self.replicas = self._family(m.REPLICAS)
         self.watchers, self.watch_dropped = self._family(m.WATCHERS), self._family(m.WATCH_DROPPED)
+        self.viewers, self.views_missed = self._family(m.VIEWERS), self._family(m.VIEWS_MISSED)
         self._by_name = {
             "frames": self._family(m.FRAMES),
             "rejected": self._family(m.REJECTED),

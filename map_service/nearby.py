@@ -11,12 +11,13 @@ from sqlalchemy import Connection, func, select
 
 from map_service import schema
 from map_service.cloud import decode_cloud
-from map_service.export import MapPiece, first_in_voxel
 from map_service.pose_at import NotKnownError
 from map_service.rows import unpack_pose
 from map_service.store import Store
 from splitslam.errors import DataError, InputError
+from splitslam.maps import MapPiece
 from splitslam.robot import robot_from_yaml
+from splitslam.thinning import TakenVoxels
 
 MIN_RADIUS_M, MAX_RADIUS_M = 0.1, 200.0
 MAX_POINTS = 1_000_000
@@ -81,23 +82,23 @@ def nearby_pieces(
 
     No transaction stays open between pieces. Raises StoreError, also when the session was deleted meanwhile, DataError.
     """
-    taken: set[int] = set()
     left = max_points
-    for first in range(0, len(place.keyframes), _AT_ONCE):
-        some = place.keyframes[first : first + _AT_ONCE]
-        clouds = store.clouds(key, [index for index, _ in some])
-        for index, T in some:
-            points = _within(clouds[index], T, place.centre_map, radius_m)
-            if voxel_m > 0:
-                points = points[first_in_voxel(points[:, :3], voxel_m, taken)]
-            if not len(points):
-                continue
-            full = len(points) > left
-            piece = MapPiece(index, T, points[:left].astype("<f4"))
-            left -= len(piece.points_map)
-            yield NearbyPiece(piece, place.map_version, full)
-            if full:
-                return
+    with TakenVoxels(voxel_m or 1.0) as taken:
+        for first in range(0, len(place.keyframes), _AT_ONCE):
+            some = place.keyframes[first : first + _AT_ONCE]
+            clouds = store.clouds(key, [index for index, _ in some])
+            for index, T in some:
+                points = _within(clouds[index], T, place.centre_map, radius_m)
+                if voxel_m > 0:
+                    points = points[taken.first(points[:, :3])]
+                if not len(points):
+                    continue
+                full = len(points) > left
+                piece = MapPiece(index, 0, T, points[:left].astype("<f4"))
+                left -= len(piece.points_map)
+                yield NearbyPiece(piece, place.map_version, full)
+                if full:
+                    return
 
 
 def _within(cloud: bytes, T_map_lidar: Array, centre_map: Array, radius_m: float) -> Array:

@@ -29,6 +29,7 @@ from map_service.loop_gate import Chain
 from map_service.loops import LoopVerifier
 from map_service.map_frame import MapFrame
 from map_service.pipeline_statistics import Moment, PipelineStatistics, effort, outcomes, report
+from map_service.seen import MapSeen, ScanSeen, map_seen, scan_seen
 from map_service.settings import PipelineSettings
 from map_service.surroundings import Surroundings
 from map_service.tracker import Track, Tracker
@@ -152,8 +153,8 @@ class MapPipeline:
 
     def _on_mapped_ground(self, frame: FeatureFrame, track: Track) -> bool:
         """Takes another keyframe as reference where one has seen this ground, and the scan says that it still is so."""
-        r, s = track.registration, self.settings.ground
-        if r is None or not r.features or not self.tracker.doubt.as_usual(Fit.of(r), s.usual_share):
+        r, s, doubt = track.registration, self.settings.ground, self.tracker.doubt
+        if r is None or not r.features or doubt.state.changed or not doubt.as_usual(Fit.of(r), s.usual_share):
             return False
         covering = self.ground.covering(track.T_local_lidar, frame.stamp_ns, self.keyframes, self._chain())
         if covering is None:
@@ -176,6 +177,7 @@ class MapPipeline:
             if self.gnss is not None:
                 self.gnss.moved(covariance + u.since_lost(s.tracker.doubt))
         self.uncertainty.found = False
+        self.tracker.doubt.learnt()
         self.keyframes.add(frame, track, follows)
         self.ground.reference = index
         added = self.keyframes[index]
@@ -278,6 +280,15 @@ class MapPipeline:
             effort=effort(track, registered[1] - started[1]),
             map_version=self.chronicle.map_version,
         )
+
+    def seen(self, newest_fixes: int) -> tuple[ScanSeen | None, MapSeen]:
+        """For those who watch: the scan that waits for `settle`, if there is one, and the map without it."""
+        scan = None
+        if self._open is not None:
+            answer = self._open.answer
+            keyframe = len(self.keyframes) if answer.keyframe else self.ground.reference
+            scan = scan_seen(self.tracker, self._open.passage.track, keyframe, answer.registration_ms)
+        return scan, map_seen(self.graph, newest_fixes)
 
     def finish(self) -> None:
         """End of the session: loops still under verification are waited for and applied."""

@@ -12,7 +12,6 @@ from map_service.access import check_follower
 from map_service.callers import Caller
 from map_service.cursor import Cursor, CursorError
 from map_service.event_watch import EventWatch
-from map_service.export import voxel_problem
 from map_service.following import MOST_SESSIONS, Scope
 from map_service.live_answers import LiveAnswers
 from map_service.messages import transform_to_wire
@@ -23,6 +22,7 @@ from map_service.scan_poses import read_lidar_body
 from map_service.store import Store
 from map_service.store_front import StoreFront, next_of
 from map_service.watches import TooManyWatchesError, Watches
+from splitslam.thinning import voxel_problem
 from splitslam.wire import pose_pb2 as pb
 from splitslam.wire import pose_pb2_grpc as rpc
 

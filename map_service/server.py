@@ -26,6 +26,8 @@ from map_service.processes import leave_out_of_collections
 from map_service.rebalance import Rebalancer
 from map_service.session_service import SessionFront
 from map_service.store import Store
+from map_service.view_service import SERVICE as VIEW_SERVICE
+from map_service.view_service import ViewFront
 from map_service.watches import Watches
 from map_service.workers import WorkerPool
 from splitslam.errors import InputError
@@ -33,7 +35,7 @@ from splitslam.logs import configure_logs
 from splitslam.notify import Notifier
 from splitslam.wire import pose_pb2_grpc, session_pb2_grpc
 
-SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService", "splitslam.v1.PoseService")
+SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService", "splitslam.v1.PoseService", VIEW_SERVICE)
 _STREAM_GRACE_S = 0.5
 _LEAVE_S = 1.0
 
@@ -64,7 +66,8 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     sessions = SessionFront(store, pool, door.callers, metrics)
     watches = Watches(config.watch, door.callers, metrics)
     poses = PoseFront(store, watches, live)
-    server, checks, address = _build(config, front, sessions, poses, door)
+    views = ViewFront(pool.watchers, door.callers, metrics)
+    server, checks, address = _build(config, front, sessions, poses, views, door)
     page = metrics.serve(config.metrics.host, config.metrics.port)
     local = _health_only(config.health_socket, checks)
     try:
@@ -89,6 +92,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
         own = own_address(config.replica, address)
         membership = Membership(store, config.replica, own, lambda: front.open, lambda: pool.ready)
         rebalancing = asyncio.create_task(Rebalancer(config.replica, membership, pool, metrics).run())
+        views.peers = lambda: membership.peers
         if _shared(config, store):
             membership.start()
         await stopping
@@ -126,7 +130,7 @@ def _shared(config: ServiceConfig, store: Store) -> bool:
 
 
 def _build(
-    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, poses: PoseFront, door: Door
+    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, poses: PoseFront, views: ViewFront, door: Door
 ) -> tuple[grpc.aio.Server, Any, str]:
     server = grpc.aio.server(
         options=[
@@ -137,7 +141,7 @@ def _build(
             ("grpc.http2.min_ping_interval_without_data_ms", 5_000),
         ]
     )
-    server.add_generic_rpc_handlers((front.handler(),))
+    server.add_generic_rpc_handlers((front.handler(), views.handler()))
     session_pb2_grpc.add_SessionServiceServicer_to_server(sessions, server)
     pose_pb2_grpc.add_PoseServiceServicer_to_server(poses, server)
     checks = HealthServicer()

@@ -20,6 +20,7 @@ from map_service.diary import Diary
 from map_service.engine import Engine, Pipeline
 from map_service.hello import WIRE_VERSION, SessionRequest
 from map_service.rows import SessionCommit
+from map_service.seen import MapSeen, ScanSeen
 from map_service.store import OpenedSession, Store, StoredAnswer
 from map_service.tally import Tally
 from map_service.types import Commit, State
@@ -167,6 +168,10 @@ class Session:
             self._tally.observe("stage_seconds", graph_s, "graph")
         self.accounts.frame_done()
         self.settled = True
+
+    def seen(self, newest_fixes: int) -> tuple[ScanSeen | None, MapSeen]:
+        """For those who watch, between `apply` and `settle` with the scan itself. Raises what the pipeline does."""
+        return self._pipeline.seen(newest_fixes)
 
     def _map_or_reject(self, frame: pb.Frame, poisoned: bool) -> pb.Odometry:
         try:

@@ -9,12 +9,15 @@ from sqlalchemy import Row
 
 from map_service.access import NO_SITE, check_operator
 from map_service.callers import Callers
-from map_service.export import map_pieces, voxel_problem
+from map_service.export import map_pieces
+from map_service.graph_export import map_graph
+from map_service.graph_messages import graph_to_wire
 from map_service.messages import stamped_pose, transform_to_wire
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store
 from map_service.store_front import StoreFront, next_of
 from map_service.workers import WorkerPool
+from splitslam.thinning import voxel_problem
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 
@@ -64,14 +67,23 @@ class SessionFront(StoreFront, rpc.SessionServiceServicer):
         if problem := voxel_problem(voxel_m):
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"voxel_m {problem}")
         row = await self._readable(request.session_id, context)
-        pieces = map_pieces(self._catalog.keyframes(row.id), voxel_m)
+        pieces = map_pieces(self._catalog.keyframes(row.id, request.first_keyframe), voxel_m)
         while (piece := await self._query(context, next_of, pieces)) is not None:
             yield pb.StreamMapResponse(
                 keyframe=piece.keyframe,
                 pose_map_lidar=transform_to_wire(piece.T_map_lidar),
                 points=piece.points_map.tobytes(),
                 point_count=len(piece.points_map),
+                stamp_ns=piece.stamp_ns,
             )
+
+    async def PoseGraph(
+        self, request: pb.PoseGraphRequest, context: grpc.aio.ServicerContext
+    ) -> AsyncIterator[pb.PoseGraphResponse]:
+        row = await self._readable(request.session_id, context)
+        stored = await self._query(context, self._catalog.graph, row.id)
+        for part in graph_to_wire(await self._query(context, map_graph, stored)):
+            yield part
 
 
 def session_info(row: Row) -> pb.SessionInfo:

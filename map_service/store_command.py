@@ -136,9 +136,10 @@ def export(
 ) -> None:
     """Write a session's map and trajectory, as they are now, to files; its robot may be driving."""
     from map_service.catalog import Catalog
-    from map_service.export import voxel_problem, write_session
+    from map_service.export import write_session
     from splitslam.errors import DataError
     from splitslam.run.staging import staging
+    from splitslam.thinning import voxel_problem
 
     if problem := voxel_problem(voxel_m):
         raise InputError(f"--voxel-m: {problem}")

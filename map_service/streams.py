@@ -32,6 +32,7 @@ class RobotStream:
         self.durable_seq = 0
         self.opened = False  # the worker has said something
         self.answered_s = math.nan  # when a frame was answered last
+        self.took_s = math.nan  # and how long that was after it had come
         self.ending: End | None = None  # how it has ended from this side
         self._leaving: pb.Drain | None = None
         self._told = False
@@ -72,7 +73,8 @@ class RobotStream:
         if not self._received_s:
             return None
         self._slots.release()
-        return time.monotonic() - self._received_s.popleft()
+        self.took_s = time.monotonic() - self._received_s.popleft()
+        return self.took_s
 
     def put_message(self, message: pb.StreamResponse) -> None:
         self.put(message.SerializeToString())

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import math
 import multiprocessing
 import os
 import socket
@@ -13,12 +15,13 @@ from typing import Any
 import grpc
 
 from map_service import channel
-from map_service.channel import Abort, Beat, Drained, Handed, Ready, Reply, RobotStanding
+from map_service.channel import Abort, Beat, Drained, Handed, Ready, Reply, RobotStanding, Seen, Watch
 from map_service.config import ServiceConfig
 from map_service.live_answers import LiveAnswers
 from map_service.metrics import ServiceMetrics
 from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
+from map_service.watchers import Watchers
 from map_service.worker import WorkerSpec, worker_main
 from splitslam.logs import fields
 
@@ -31,16 +34,22 @@ class WorkerProcess:
     """One worker: its process, its socket, the streams it serves."""
 
     def __init__(
-        self, index: int, config: ServiceConfig, engine: str, metrics: ServiceMetrics, live: LiveAnswers
+        self,
+        index: int,
+        config: ServiceConfig,
+        engine: str,
+        metrics: ServiceMetrics,
+        live: LiveAnswers,
+        watchers: Watchers,
     ) -> None:
-        """live: hears every answer."""
+        """live: hears every answer. watchers: see what the worker shows."""
         self.index = index
         self.ready = asyncio.Event()
         self.streams: dict[int, RobotStream] = {}
         self.pinned: set[str] = set()
         self.drained = False
         self.beat_s = self.started_s = time.monotonic()
-        self._config, self._metrics, self._live = config, metrics, live
+        self._config, self._metrics, self._live, self._watchers = config, metrics, live, watchers
         ours, theirs = socket.socketpair()
         self._sock = ours
         spec = WorkerSpec(index, config, engine, os.getpid())
@@ -72,6 +81,12 @@ class WorkerProcess:
         except ConnectionError:
             pass
 
+    def watch(self, watch: Watch) -> None:
+        """Tells a worker that is there whom somebody looks at. It never waits: such messages are few and small."""
+        if self.ready.is_set():
+            with contextlib.suppress(ConnectionError):
+                self._writer.write(channel.pack(watch))
+
     def _take(self, message: Any) -> None:
         match message:
             case Reply():
@@ -92,7 +107,11 @@ class WorkerProcess:
                 self.beat_s = time.monotonic()
                 self.ready.set()
                 self._metrics.workers_ready.of().inc()
+                self.watch(self._watchers.watch)
                 _log.info("worker ready", extra=fields(worker=self.index, pid=message.pid))
+            case Seen():
+                stream = self.streams.get(message.stream or 0)
+                self._watchers.pass_on(message, stream.took_s * 1e3 if stream else math.nan)
             case Handed(number, durable_seq):
                 if stream := self.streams.get(number):
                     stream.handed(durable_seq)

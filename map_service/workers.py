@@ -8,11 +8,12 @@ import time
 
 import grpc
 
-from map_service.channel import Close, DrainAll, Forget, HandOver, Open, Request
+from map_service.channel import Close, DrainAll, Forget, HandOver, Open, Request, Watch
 from map_service.config import ServiceConfig
 from map_service.live_answers import LiveAnswers
 from map_service.metrics import ServiceMetrics
 from map_service.streams import RobotStream
+from map_service.watchers import Watchers
 from map_service.worker_process import WorkerProcess
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
@@ -34,6 +35,8 @@ class WorkerPool:
         self._tasks: list[asyncio.Task[None]] = []
         self._draining = False
         self._numbers = 0
+        self.watchers = Watchers(metrics)
+        self.watchers.tell = self._tell
 
     async def start(self) -> None:
         """Start all and wait until they are warm. Raises RuntimeError when one cannot start."""
@@ -44,7 +47,11 @@ class WorkerPool:
         await asyncio.gather(*(self._until_ready(worker) for worker in self._workers))
 
     def _new(self, index: int) -> WorkerProcess:
-        return WorkerProcess(index, self._config, self._engine, self._metrics, self._live)
+        return WorkerProcess(index, self._config, self._engine, self._metrics, self._live, self.watchers)
+
+    def _tell(self, watch: Watch) -> None:
+        for worker in self._workers:
+            worker.watch(watch)
 
     @property
     def ready(self) -> bool:

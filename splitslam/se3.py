@@ -18,6 +18,8 @@ _Row = tuple[float, float, float]
 _Rows = tuple[_Row, _Row, _Row]
 _SMALL_RAD = 1e-7
 _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+_EYE = np.eye(3)
+_NEARLY_ORTHONORMAL = 1e-8
 
 
 def hat(w: Array) -> Array:
@@ -125,6 +127,10 @@ def interpolate(T_a: Array, T_b: Array, ratio: float) -> Array:
 
 def orthonormalised(T: Array) -> Array:
     """The nearest rigid transform: long products drift off SO(3)."""
+    R = T[:3, :3]
+    off = R.T @ R - _EYE
+    if np.abs(off).max() < _NEARLY_ORTHONORMAL:  # a step of Newton's iteration then takes all of it
+        return compose(R - 0.5 * R @ off, T[:3, 3])
     U, _, Vt = np.linalg.svd(T[:3, :3])
     return compose(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, T[:3, 3])
 

@@ -38,6 +38,29 @@ def binary(name: str, package: str) -> Path:
     return Path(found) if found else unpacked(package) / "usr" / "bin" / name
 
 
+def chromium() -> tuple[Path, dict[str, str]]:
+    """The browser, and what it needs in its environment where it is not installed. Root installs it."""
+    if os.getuid() == 0 and shutil.which("chromium") is None and shutil.which("apt-get"):
+        _install("chromium")
+    if found := shutil.which("chromium"):
+        return Path(found), {}
+    root = unpacked("chromium", with_needs=True)
+    libraries = sorted({str(path.parent) for path in root.glob("usr/lib/**/*.so*")})
+    return root / "usr/lib/chromium/chromium", {
+        "LD_LIBRARY_PATH": ":".join([str(root / "usr/lib/chromium"), *libraries]),
+        "FONTCONFIG_PATH": str(root / "etc/fonts"),
+    }
+
+
+def _install(package: str) -> None:
+    """With all that it needs, as root; whether that went well is seen by who looks for the program."""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _run(CACHE, "apt-get", "update", "-qq")
+        _run(CACHE, "apt-get", "install", "-y", "-qq", "--no-install-recommends", package)
+
+
 def _fetch(folder: Path, packages: Sequence[str], with_needs: bool) -> str | None:
     """Why they are not there now, or None."""
     if not (shutil.which("apt-get") and shutil.which("dpkg")):

@@ -167,9 +167,28 @@ STEADY_SCAN_STAYS_BYTES = 4_096
 STEADY_SCAN_BYTES = 400_000
 WARM_START_IMPORTS = 8.0
 
+# Exported clouds: half a step of 0.1 mm (LAS, E57); a float32 less its offset within a few hundred metres (PLY, PCD).
+EXPORT_STEP_M = 0.51e-4
+EXPORT_FLOAT32_M = 2.0e-5
+# LAS keeps GPS seconds as a float64 of some 10^8: steps of 60 ns at most.
+EXPORT_TIME_S = 2.5e-7
+# The map's frame on Earth, from the store against the graph that is in memory: the store has the poses of the last
+# iteration, not those of the optimum.
+EXPORT_ENU_M = 5e-3
+EXPORT_ENU_RAD = 1e-4
+# g2o is text of 12 digits.
+G2O_READ = 1e-6
+G2O_BACK_M = 1e-3
+# Occupancy grid of a made world: occupied cells with geometry within one cell of 5 cm; free ones of those really seen.
+GRID_OCCUPIED_NEAR = 0.95
+GRID_FREE_RECALL = 0.90
+
 # Nine seconds of yard1 at its own pace through ROS, answers against the truth (from the file, in lockstep: 2.4 mm; by
 # the clock half as much again).
 LIVE_ROS_ATE_M = 0.0035
 
 # Stamps by arrival: 80 ppm of drift over the 8 s in which the quickest message counts, and what messages are late by.
 LIVE_CLOCK_S = 1.5e-3
+
+# What is drawn against what was answered: float32 at ten metres, and a quaternion in between.
+VIEW_M = 1e-5

@@ -66,6 +66,25 @@ def carry(stamps_ns, states, gravity_mps2, noise, longest_ns, P, error):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
+def disturb(P, T_server_imu, variances):
+    """Adds to P (N, N) what wanders by itself: bias of gyro, bias of accel, scale; and the server's odometry frame.
+
+    variances (5,): of these three, if there is a scale, and of the frame's rotation and translation about the robot,
+    which is at T_server_imu (4, 4) in it.
+    """
+    for k in range(6):
+        P[9 + k, 9 + k] += variances[k // 3]
+    if variances[2] > 0.0:
+        P[21, 21] += variances[2]
+    carry = np.empty((6, 6))
+    adjoint(T_server_imu, carry)
+    for r in range(6):
+        for c in range(6):
+            for k in range(6):
+                P[15 + r, 15 + c] += carry[r, k] * variances[3 + k // 3] * carry[c, k]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
 def measure(H, r, variance, P, change):
     """Takes rows of a measurement, one after the other: r (K,) = -H change (K, N), each with the same variance.
 

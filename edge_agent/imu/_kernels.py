@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
+from splitslam._motion_kernels import vector_of
+
 FASTMATH = {"contract", "arcp", "nsz"}
 
 
@@ -298,3 +300,27 @@ def scan_motion(states, previous, here, T_imu_lidar, T_prev_lidar, poses):
     for r in range(3):
         for c in range(4):
             T_prev_lidar[r, c] = D[r, c]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def pose_at(stamps_ns, poses, stamp_ns, T):
+    """T (4, 4), of which the last row stays: poses (M, 12) at stamps_ns (M,), rising, interpolated, held beyond them.
+
+    Rotation by slerp, translation linear.
+    """
+    after = min(np.searchsorted(stamps_ns, stamp_ns), len(stamps_ns) - 1)
+    for r in range(3):
+        for c in range(4):
+            T[r, c] = poses[after, 4 * r + c]
+    if after == 0 or stamps_ns[after] <= stamp_ns:
+        return
+    a, b = poses[after - 1], poses[after]
+    share = (stamp_ns - stamps_ns[after - 1]) / (stamps_ns[after] - stamps_ns[after - 1])
+    D, R, w = np.empty((3, 4)), np.empty((3, 3)), np.empty(3)
+    increment(a, b, D)
+    vector_of(D, w)
+    rotation(share * w[0], share * w[1], share * w[2], R)
+    for r in range(3):
+        for c in range(3):
+            T[r, c] = a[4 * r] * R[0, c] + a[4 * r + 1] * R[1, c] + a[4 * r + 2] * R[2, c]
+        T[r, 3] = (1.0 - share) * a[4 * r + 3] + share * b[4 * r + 3]

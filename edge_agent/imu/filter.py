@@ -15,6 +15,7 @@ filtered again from a better start when they say that it was another one (an ite
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -198,11 +199,10 @@ class MotionFilter:
         variances = np.array([noise.gyro_radps_rthz**2, _POSITION_VARIANCE, noise.accel_mps2_rthz**2])
         kernels.carry(window.stamps_ns, states, g, variances, _LONGEST_STEP_NS, P, self._error[:, None])
         seconds = float(window.stamps_ns[-1] - window.stamps_ns[0]) * 1e-9
-        P[_BIAS, _BIAS] += np.diag(np.repeat([noise.gyro_walk**2 * seconds, noise.accel_walk**2 * seconds], 3))
-        drift = s.drift_rotation_rad_rts**2 * seconds, s.drift_translation_m_rts**2 * seconds
-        P[_SERVER, _SERVER] += _moved(T_server_imu, *drift)
-        if self.wheels is not None:
-            P[_SCALE, _SCALE] += WANDER_RTS**2 * seconds
+        wander = WANDER_RTS if self.wheels is not None else 0.0
+        drift = s.drift_rotation_rad_rts, s.drift_translation_m_rts
+        wandered = np.array([noise.gyro_walk, noise.accel_walk, wander, *drift]) ** 2 * seconds
+        kernels.disturb(P, T_server_imu, wandered)
         R = se3.so3_exp(se3.so3_log(states[-1, :9].reshape(3, 3)))  # again orthonormal
         T_odom_imu = se3.compose(R, states[-1, 9:12])
         self._mean = _Mean(np.array([T_odom_imu, mean.poses[1]]), np.concatenate([states[-1, 12:], mean.rest[3:]]))
@@ -275,11 +275,11 @@ class MotionFilter:
     def failed(self) -> bool:
         """LIO-SAM's failure detection: a velocity or a bias that no robot has."""
         s, state = self.settings, self.state
-        return bool(
-            not np.isfinite(state.T_odom_imu).all()
-            or np.linalg.norm(state.velocity_mps) > s.max_velocity_mps
-            or np.linalg.norm(state.bias[3:]) > s.max_bias_accel_mps2
-            or np.linalg.norm(state.bias[:3]) > s.max_bias_gyro_radps
+        return not (
+            math.isfinite(state.T_odom_imu.sum())
+            and math.hypot(*state.velocity_mps.tolist()) <= s.max_velocity_mps
+            and math.hypot(*state.bias[3:].tolist()) <= s.max_bias_accel_mps2
+            and math.hypot(*state.bias[:3].tolist()) <= s.max_bias_gyro_radps
         )
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-
 import numpy as np
 from numpy.typing import NDArray
 
-from splitslam import se3
+from edge_agent.imu import _kernels as kernels
 
 Array = NDArray[np.float64]
+_ROOM = 1024
 
 
 class PoseHistory:
@@ -17,34 +16,37 @@ class PoseHistory:
 
     def __init__(self, kept_ns: int) -> None:
         self._kept_ns = kept_ns
-        self._stamps_ns: list[int] = []
-        self._poses: list[Array] = []
+        self._stamps_ns, self._poses = np.empty(_ROOM, np.int64), np.empty((_ROOM, 12))
+        self._first = self._end = 0
 
     def __len__(self) -> int:
-        return len(self._stamps_ns)
+        return self._end - self._first
 
     def append(self, stamps_ns: NDArray[np.int64], poses: Array) -> None:
         """stamps_ns: (M,), rising. poses: (M, 12) row-major 3x4."""
-        self._stamps_ns += stamps_ns.tolist()
-        self._poses += list(poses)
-        too_old_ns = self._stamps_ns[-1] - self._kept_ns
-        if self._stamps_ns[0] < too_old_ns - self._kept_ns // 4:  # seldom: it moves everything
-            gone = bisect_left(self._stamps_ns, too_old_ns)
-            del self._stamps_ns[:gone], self._poses[:gone]
+        n = len(stamps_ns)
+        if self._end + n > len(self._stamps_ns):
+            self._make_room(n)
+        rows = slice(self._end, self._end + n)
+        self._stamps_ns[rows], self._poses[rows] = stamps_ns, poses
+        self._end += n
+
+    def _make_room(self, n: int) -> None:
+        """Forgets what is too old, and takes more memory when that is not half of it."""
+        stamps_ns, poses = self._stamps_ns, self._poses
+        oldest_ns = int(stamps_ns[self._end - 1]) - self._kept_ns
+        self._first += int(stamps_ns[self._first : self._end].searchsorted(oldest_ns))
+        kept = len(self)
+        if 2 * (kept + n) > len(stamps_ns):
+            stamps_ns, poses = np.empty(4 * (kept + n), np.int64), np.empty((4 * (kept + n), 12))
+        stamps_ns[:kept] = self._stamps_ns[self._first : self._end]
+        poses[:kept] = self._poses[self._first : self._end]
+        self._stamps_ns, self._poses, self._first, self._end = stamps_ns, poses, 0, kept
 
     def at(self, stamp_ns: int) -> Array:
         """(4, 4) at `stamp_ns`, interpolated; the oldest or the newest one beyond them; identity without any."""
-        if not self._poses:
-            return np.eye(4)
-        after = min(bisect_left(self._stamps_ns, stamp_ns), len(self._poses) - 1)
-        T_after = _matrix(self._poses[after])
-        if after == 0 or self._stamps_ns[after] <= stamp_ns:
-            return T_after
-        a, b = self._stamps_ns[after - 1], self._stamps_ns[after]
-        return se3.interpolate(_matrix(self._poses[after - 1]), T_after, (stamp_ns - a) / (b - a))
-
-
-def _matrix(pose: Array) -> Array:
-    T = np.eye(4)
-    T[:3] = pose.reshape(3, 4)
-    return T
+        T = np.eye(4)
+        if len(self):
+            rows = slice(self._first, self._end)
+            kernels.pose_at(self._stamps_ns[rows], self._poses[rows], stamp_ns, T)
+        return T

@@ -8,9 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from splitslam.cli.bench import bench
+from splitslam.cli.export import export
 from splitslam.cli.operation import diagnose, top
 from splitslam.cli.recordings import check, demo, evaluate, run, sim
 from splitslam.cli.sensors import replay
+from splitslam.cli.viewing import view
 from splitslam.errors import InputError
 from splitslam.run.processes import RunFailedError
 from splitslam.security.command import certs
@@ -21,9 +23,11 @@ _COMMANDS = {
     "eval": evaluate,
     "run": run,
     "check": check,
+    "export": export,
     "diagnose": diagnose,
     "demo": demo,
     "top": top,
+    "view": view,
     "sim": sim,
     "replay": replay,
 }

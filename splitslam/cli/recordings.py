@@ -122,6 +122,7 @@ def run(
         Path | None, typer.Option(metavar="TRUTH.tum", help="The true trajectory, scored and drawn in the report.")
     ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw the run as a PNG.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Also record what `splitslam view` shows: view.rrd.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print report.json.")] = False,
 ) -> None:
     """Run a recording through an edge agent and a map service: trajectory, map and report."""
@@ -142,6 +143,7 @@ def run(
         max_kbps=max_kbps,
         truth=truth,
         picture=picture,
+        view=view,
     )
     with Progress() as progress:
         report = run_recording(options, progress)

@@ -25,6 +25,9 @@ class Slip:
 
     def follow(self, T_prev_lidar: Array, unobserved: Array, motion_covariance: Array) -> None:
         """The next scan: its motion (4, 4) with the prediction's covariance (6, 6), and its unobserved axes (A, 6)."""
+        if not len(unobserved):
+            self.covariance = np.zeros((6, 6))
+            return
         carry = se3.adjoint(se3.inv(T_prev_lidar))
         before = carry @ self.covariance @ carry.T
         self.covariance = np.zeros((6, 6))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
@@ -21,7 +20,6 @@ _CHUNK = 1 << 20
 _MARGIN_M, _BORDER_M = 10.0, 2.0  # around the path, and around the points
 _COLOURS = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))  # its last yellow is lost on white
 Extent = tuple[float, float, float, float]
-_END = b"end_header\n"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,17 +32,6 @@ class TopView:
     rgba: NDArray[np.float32]
     extent_m: Extent
     height_m: tuple[float, float]
-
-
-def read_points(path: Path) -> NDArray[np.float32]:
-    """(N, 4) x y z intensity of a map.ply, mapped into memory, not read."""
-    with path.open("rb") as file:
-        header = file.read(1024)
-    offset = header.index(_END) + len(_END)
-    count = (path.stat().st_size - offset) // 16
-    if count == 0:
-        return np.empty((0, 4), np.float32)
-    return np.memmap(path, "<f4", "r", offset, (count, 4))
 
 
 def top_view(points: NDArray[np.float32], path_m: NDArray[np.float64]) -> TopView:

@@ -41,6 +41,7 @@ def assemble(
         "path_m": trajectory.path_m,
         "keyframes": session.keyframes,
         "loops": session.loops,
+        "loop_keyframes": statistics.get("loop_keyframes", []),
         "gnss_factors": session.gnss_factors,
         "gnss_rejected": statistics["gnss_rejected"],
         "gravity_factors": statistics.get("gravity_factors"),  # a service of 0.1.0 does not count them

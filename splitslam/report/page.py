@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splitslam import __version__
+from splitslam.ply import read_points
 from splitslam.report import plots
-from splitslam.report.map_view import draw_map, read_points, top_view
+from splitslam.report.map_view import draw_map, top_view
 from splitslam.report.style import image, png, styled, svg
 from splitslam.report.summary import key_figures
 

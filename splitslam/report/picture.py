@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from splitslam.ply import read_points
 from splitslam.report import plots
-from splitslam.report.map_view import draw_map, read_points, top_view
+from splitslam.report.map_view import draw_map, top_view
 from splitslam.report.style import png, styled
 
 if TYPE_CHECKING:

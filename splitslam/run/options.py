@@ -12,14 +12,14 @@ from splitslam.errors import InputError
 
 DESKEW = ("auto", "reference", "cpu", "fpga", "cosim", "off", "rotation")
 PARTS = ("loops", "gnss", "imu", "wheels")
-_NEEDED = {"edge": "rosbags", "server": "sqlalchemy", "viz": "matplotlib", "sim": "embreex"}
+_NEEDED = {"edge": "rosbags", "server": "sqlalchemy", "viz": "matplotlib", "sim": "embreex", "view": "rerun"}
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """One run. server None: an embedded map service. deskew None: as configured. truth: scored in the report.
 
-    picture: where a PNG of the run goes as well.
+    picture: where a PNG of the run goes as well. view: record what `splitslam view` would show, as view.rrd.
     """
 
     recording: Path
@@ -34,6 +34,7 @@ class RunOptions:
     max_kbps: float | None = None
     truth: Path | None = None
     picture: Path | None = None
+    view: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError: one line that names the option and what was expected."""

@@ -19,6 +19,7 @@ from splitslam.run.processes import Programs, RunFailedError, interruptible
 from splitslam.run.progress import Progress
 from splitslam.run.service import embedded_service
 from splitslam.run.staging import Staging, staging
+from splitslam.run.tables import write_keyframes, write_scans
 from splitslam.tum import Trajectory, read_tum, write_tum
 
 _FROM_AGENT = ("online.tum", "online_covariance.csv", "odom.tum", "imu.tum")
@@ -51,6 +52,8 @@ def run_recording(options: RunOptions, progress: Progress, programs: Programs = 
     its exit code: 2 for bad input). Then, and on Ctrl-C, nothing has been written and both programs have ended.
     """
     check_installed(("viz", "edge") if options.server else ("viz", "edge", "server"))
+    if options.view:
+        check_installed(("view",))
     _check_robot(options.robot)
     truth = None if options.truth is None else read_tum(options.truth)
     with interruptible(), staging(options.out) as stage:
@@ -65,7 +68,8 @@ def run_recording(options: RunOptions, progress: Progress, programs: Programs = 
                 alive = service.check
             progress.stage("starting the edge agent")
             watcher = Watcher(progress.expected, progress.scan, progress.note, alive)
-            run_agent(programs.edge_agent, _written(stage.work / "edge.yaml", agent_config), watcher)
+            with _recording(options, stage, agent_config, progress):
+                run_agent(programs.edge_agent, _written(stage.work / "edge.yaml", agent_config), watcher)
             progress.stage("fetching trajectory and map")
             run = _fetch(options, stage, agent_config, truth, progress)
         progress.stage("writing the report")
@@ -86,6 +90,19 @@ def _check_robot(path: Path) -> None:
     from splitslam.robot import load_robot
 
     load_robot(path)
+
+
+def _recording(
+    options: RunOptions, stage: Staging, agent_config: AgentConfig, progress: Progress
+) -> contextlib.AbstractContextManager[None]:
+    """While it lasts, what a viewer would see is recorded, if that was asked for."""
+    if not options.view:
+        return contextlib.nullcontext()
+    from splitslam.robot import load_robot
+    from splitslam.view.recorder import recorded
+
+    robot_id = load_robot(options.robot).robot.id
+    return recorded(agent_config.server, agent_config.tls, robot_id, stage.results, progress.note)
 
 
 def _written(path: Path, model: Any) -> Path:
@@ -113,6 +130,8 @@ def _fetch(
     if not len(trajectory):
         raise RunFailedError("no scan was mapped")
     write_tum(stage.results / "trajectory.tum", trajectory)
+    write_keyframes(stage.results / "keyframes.csv", session.keyframes)
+    write_scans(stage.results / "scans.csv", edge)
     online = read_tum(stage.results / "online.tum")
     if truth is not None and not inside(trajectory, truth).any():
         progress.note(f"{options.truth}: no pose of the run lies in its time span: not scored")
@@ -130,7 +149,7 @@ def _fetch(
         trajectory=trajectory,
         online=online,
         truth=truth,
-        keyframes_map=session.keyframes_map,
+        keyframes_map=[row.pose[:3] for row in session.keyframes],
         loops=statistics.get("loop_keyframes", []),
         ply=stage.results / "map.ply",
     )

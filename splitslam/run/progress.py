@@ -10,15 +10,15 @@ from rich.progress import Progress as Bar
 
 
 class Progress:
-    """A bar of the scans mapped, on a terminal only; notes always."""
+    """A bar of what is done, scans unless said otherwise, on a terminal only; notes always."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str = "scans") -> None:
         self._console = Console(stderr=True)
         self._bar = Bar(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("scans"),
+            TextColumn(unit),
             TimeElapsedColumn(),
             console=self._console,
             transient=True,
@@ -38,7 +38,7 @@ class Progress:
         self._bar.update(self._task, description=text)
 
     def made(self, done: int, total: int) -> None:
-        """So many scans of a made drive are there."""
+        """So many are there, of a made drive or of whatever is counted."""
         self._bar.update(self._task, completed=done, total=total)
 
     def expected(self, scans: int | None) -> None:

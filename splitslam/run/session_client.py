@@ -11,6 +11,7 @@ import grpc
 import numpy as np
 
 from splitslam.run.processes import RunFailedError
+from splitslam.run.tables import KeyframeRow
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
 from splitslam.tum import Trajectory
@@ -20,6 +21,7 @@ from splitslam.wire import types_pb2 as types
 
 _CALL_S = 30.0
 _STREAM_S = 600.0
+_LONG_S = 6 * 3600.0
 
 
 class SessionClient:
@@ -28,7 +30,7 @@ class SessionClient:
     def __init__(self, stub: Any, session_id: str, metadata: tuple[tuple[str, str], ...] = ()) -> None:
         """metadata: what every call carries."""
         self._stub, self._id, self._metadata = stub, session_id, metadata
-        self.keyframes_map: list[tuple[float, float, float]] = []
+        self.keyframes: list[KeyframeRow] = []
 
     def info(self) -> tuple[pb.SessionInfo, dict[str, Any]]:
         """The session and its statistics."""
@@ -50,12 +52,25 @@ class SessionClient:
         return as_trajectory(self.stored_poses())
 
     def map_pieces(self) -> Iterator[bytes]:
-        """Points of one keyframe after the other; the keyframes' positions gather in `keyframes_map`."""
+        """Points of one keyframe after the other; the keyframes themselves gather in `keyframes`."""
         with _named("StreamMap"):
             request = pb.StreamMapRequest(session_id=self._id)
             for piece in self._stub.StreamMap(request, timeout=_STREAM_S, metadata=self._metadata):
-                self.keyframes_map.append(_numbers(piece.pose_map_lidar)[:3])
+                pose = _numbers(piece.pose_map_lidar)
+                self.keyframes.append(KeyframeRow(piece.keyframe, piece.point_count, pose))
                 yield piece.points
+
+    def map_messages(self, voxel_m: float) -> Iterator[pb.StreamMapResponse]:
+        """Every keyframe with its points; with voxel_m > 0 one point a voxel. A large map may take its time."""
+        with _named("StreamMap"):
+            request = pb.StreamMapRequest(session_id=self._id, voxel_m=voxel_m)
+            yield from self._stub.StreamMap(request, timeout=_LONG_S, metadata=self._metadata)
+
+    def graph_messages(self) -> Iterator[pb.PoseGraphResponse]:
+        """The factor graph in parts."""
+        with _named("PoseGraph"):
+            request = pb.PoseGraphRequest(session_id=self._id)
+            yield from self._stub.PoseGraph(request, timeout=_STREAM_S, metadata=self._metadata)
 
 
 def as_trajectory(poses: list[types.StampedPose]) -> Trajectory:

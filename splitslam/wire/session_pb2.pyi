@@ -333,21 +333,112 @@ class TrajectoryResponse(_message.Message):
     def __init__(self, poses: _Optional[_Iterable[_Union[_types_pb2.StampedPose, _Mapping]]] = ...) -> None: ...
 
 class StreamMapRequest(_message.Message):
-    __slots__ = ("session_id", "voxel_m")
+    __slots__ = ("session_id", "voxel_m", "first_keyframe")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     VOXEL_M_FIELD_NUMBER: _ClassVar[int]
+    FIRST_KEYFRAME_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     voxel_m: float
-    def __init__(self, session_id: _Optional[str] = ..., voxel_m: _Optional[float] = ...) -> None: ...
+    first_keyframe: int
+    def __init__(self, session_id: _Optional[str] = ..., voxel_m: _Optional[float] = ..., first_keyframe: _Optional[int] = ...) -> None: ...
 
 class StreamMapResponse(_message.Message):
-    __slots__ = ("keyframe", "pose_map_lidar", "points", "point_count")
+    __slots__ = ("keyframe", "pose_map_lidar", "points", "point_count", "stamp_ns")
     KEYFRAME_FIELD_NUMBER: _ClassVar[int]
     POSE_MAP_LIDAR_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     POINT_COUNT_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     keyframe: int
     pose_map_lidar: _types_pb2.Transform
     points: bytes
     point_count: int
-    def __init__(self, keyframe: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., points: _Optional[bytes] = ..., point_count: _Optional[int] = ...) -> None: ...
+    stamp_ns: int
+    def __init__(self, keyframe: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., points: _Optional[bytes] = ..., point_count: _Optional[int] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
+
+class PoseGraphRequest(_message.Message):
+    __slots__ = ("session_id",)
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    def __init__(self, session_id: _Optional[str] = ...) -> None: ...
+
+class GraphKeyframe(_message.Message):
+    __slots__ = ("keyframe", "stamp_ns", "pose_map_lidar")
+    KEYFRAME_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    POSE_MAP_LIDAR_FIELD_NUMBER: _ClassVar[int]
+    keyframe: int
+    stamp_ns: int
+    pose_map_lidar: _types_pb2.Transform
+    def __init__(self, keyframe: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ...) -> None: ...
+
+class GraphEdge(_message.Message):
+    __slots__ = ("kind", "older", "newer", "pose_older_newer", "covariance", "robust")
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    OLDER_FIELD_NUMBER: _ClassVar[int]
+    NEWER_FIELD_NUMBER: _ClassVar[int]
+    POSE_OLDER_NEWER_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    ROBUST_FIELD_NUMBER: _ClassVar[int]
+    kind: str
+    older: int
+    newer: int
+    pose_older_newer: _types_pb2.Transform
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    robust: bool
+    def __init__(self, kind: _Optional[str] = ..., older: _Optional[int] = ..., newer: _Optional[int] = ..., pose_older_newer: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., robust: bool = ...) -> None: ...
+
+class GraphFix(_message.Message):
+    __slots__ = ("keyframe", "antenna_keyframe_m", "enu_m", "sigmas_m", "datum")
+    KEYFRAME_FIELD_NUMBER: _ClassVar[int]
+    ANTENNA_KEYFRAME_M_FIELD_NUMBER: _ClassVar[int]
+    ENU_M_FIELD_NUMBER: _ClassVar[int]
+    SIGMAS_M_FIELD_NUMBER: _ClassVar[int]
+    DATUM_FIELD_NUMBER: _ClassVar[int]
+    keyframe: int
+    antenna_keyframe_m: _containers.RepeatedScalarFieldContainer[float]
+    enu_m: _containers.RepeatedScalarFieldContainer[float]
+    sigmas_m: _containers.RepeatedScalarFieldContainer[float]
+    datum: int
+    def __init__(self, keyframe: _Optional[int] = ..., antenna_keyframe_m: _Optional[_Iterable[float]] = ..., enu_m: _Optional[_Iterable[float]] = ..., sigmas_m: _Optional[_Iterable[float]] = ..., datum: _Optional[int] = ...) -> None: ...
+
+class GraphDatum(_message.Message):
+    __slots__ = ("datum", "pose_enu_map")
+    DATUM_FIELD_NUMBER: _ClassVar[int]
+    POSE_ENU_MAP_FIELD_NUMBER: _ClassVar[int]
+    datum: int
+    pose_enu_map: _types_pb2.Transform
+    def __init__(self, datum: _Optional[int] = ..., pose_enu_map: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ...) -> None: ...
+
+class EnuOrigin(_message.Message):
+    __slots__ = ("latitude_deg", "longitude_deg", "altitude_m")
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    ALTITUDE_M_FIELD_NUMBER: _ClassVar[int]
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., altitude_m: _Optional[float] = ...) -> None: ...
+
+class PoseGraphResponse(_message.Message):
+    __slots__ = ("keyframes", "edges", "fixes", "data", "origin", "others")
+    class OthersEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: int
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[int] = ...) -> None: ...
+    KEYFRAMES_FIELD_NUMBER: _ClassVar[int]
+    EDGES_FIELD_NUMBER: _ClassVar[int]
+    FIXES_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    OTHERS_FIELD_NUMBER: _ClassVar[int]
+    keyframes: _containers.RepeatedCompositeFieldContainer[GraphKeyframe]
+    edges: _containers.RepeatedCompositeFieldContainer[GraphEdge]
+    fixes: _containers.RepeatedCompositeFieldContainer[GraphFix]
+    data: _containers.RepeatedCompositeFieldContainer[GraphDatum]
+    origin: EnuOrigin
+    others: _containers.ScalarMap[str, int]
+    def __init__(self, keyframes: _Optional[_Iterable[_Union[GraphKeyframe, _Mapping]]] = ..., edges: _Optional[_Iterable[_Union[GraphEdge, _Mapping]]] = ..., fixes: _Optional[_Iterable[_Union[GraphFix, _Mapping]]] = ..., data: _Optional[_Iterable[_Union[GraphDatum, _Mapping]]] = ..., origin: _Optional[_Union[EnuOrigin, _Mapping]] = ..., others: _Optional[_Mapping[str, int]] = ...) -> None: ...

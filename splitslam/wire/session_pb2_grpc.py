@@ -140,6 +140,11 @@ class SessionServiceStub(object):
                 request_serializer=splitslam_dot_v1_dot_session__pb2.StreamMapRequest.SerializeToString,
                 response_deserializer=splitslam_dot_v1_dot_session__pb2.StreamMapResponse.FromString,
                 _registered_method=True)
+        self.PoseGraph = channel.unary_stream(
+                '/splitslam.v1.SessionService/PoseGraph',
+                request_serializer=splitslam_dot_v1_dot_session__pb2.PoseGraphRequest.SerializeToString,
+                response_deserializer=splitslam_dot_v1_dot_session__pb2.PoseGraphResponse.FromString,
+                _registered_method=True)
 
 
 class SessionServiceServicer(object):
@@ -176,6 +181,12 @@ class SessionServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def PoseGraph(self, request, context):
+        """Missing associated documentation comment in .proto file."""
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_SessionServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -203,6 +214,11 @@ def add_SessionServiceServicer_to_server(servicer, server):
                     servicer.StreamMap,
                     request_deserializer=splitslam_dot_v1_dot_session__pb2.StreamMapRequest.FromString,
                     response_serializer=splitslam_dot_v1_dot_session__pb2.StreamMapResponse.SerializeToString,
+            ),
+            'PoseGraph': grpc.unary_stream_rpc_method_handler(
+                    servicer.PoseGraph,
+                    request_deserializer=splitslam_dot_v1_dot_session__pb2.PoseGraphRequest.FromString,
+                    response_serializer=splitslam_dot_v1_dot_session__pb2.PoseGraphResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -341,6 +357,33 @@ class SessionService(object):
             '/splitslam.v1.SessionService/StreamMap',
             splitslam_dot_v1_dot_session__pb2.StreamMapRequest.SerializeToString,
             splitslam_dot_v1_dot_session__pb2.StreamMapResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def PoseGraph(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_stream(
+            request,
+            target,
+            '/splitslam.v1.SessionService/PoseGraph',
+            splitslam_dot_v1_dot_session__pb2.PoseGraphRequest.SerializeToString,
+            splitslam_dot_v1_dot_session__pb2.PoseGraphResponse.FromString,
             options,
             channel_credentials,
             insecure,

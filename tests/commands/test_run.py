@@ -22,7 +22,7 @@ from tests.commands import fakes
 
 RESULTS = {
     *("trajectory.tum", "online.tum", "online_covariance.csv", "odom.tum", "imu.tum"),
-    *("map.ply", "report.json", "report.html"),
+    *("map.ply", "report.json", "report.html", "keyframes.csv", "scans.csv"),
 }
 
 

@@ -9,6 +9,7 @@ from edge_agent.dense import DensePolicy
 from edge_agent.settings import DenseSettings
 from splitslam import codec, se3
 from splitslam.errors import DataError
+from splitslam.features import Motion
 from splitslam.scan import Scan, ScanPacket
 from tests.deskew.motions import far_points
 from tests.features.made_scan import ELEVATIONS_RAD, KnownMotion, made_scan, make_pipeline
@@ -74,6 +75,25 @@ def test_bad_scans_are_dropped_before_they_reach_the_imu_node_and_use_no_seq():
         assert error.value.reason == reason
     assert imu.asked == 0
     assert pipeline.process(ScanPacket(made_scan())).seq == 1
+
+
+@pytest.mark.parametrize("translation_m", [np.nan, 1e9])
+def test_a_motion_beyond_all_bounds_costs_its_scan_and_nothing_else(translation_m: float):
+    imu = KnownMotion()
+    pipeline = make_pipeline(imu)
+    usual = imu.motion_over
+
+    def lost(start_ns: int, end_ns: int) -> Motion:
+        motion = usual(start_ns, end_ns)
+        knots = replace(motion.knots, translation_m=np.full_like(motion.knots.translation_m, translation_m))
+        return replace(motion, knots=knots)
+
+    imu.motion_over = lost
+    with pytest.raises(DataError) as error:
+        pipeline.process(ScanPacket(made_scan()))
+    assert error.value.reason == "motion"
+    imu.motion_over = usual
+    assert pipeline.process(ScanPacket(made_scan(1))).seq == 1
 
 
 def test_points_that_fall_out_of_the_image_are_counted():

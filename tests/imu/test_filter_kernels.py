@@ -130,3 +130,18 @@ def test_the_residual_of_a_pose_is_what_is_left_of_it_and_goes_as_its_derivative
     assert np.abs(H[:, 21:]).max() == 0.0
     r, H = residual(np.concatenate([np.zeros(3), [0.01, 0.02, -0.01], np.zeros(15)]))
     assert np.linalg.norm(r) > 0.01
+
+
+def test_what_wanders_by_itself_is_added_where_it_is():
+    rng = np.random.default_rng(6)
+    for size, scale in ((21, 0.0), (22, 3e-7), (27, 0.0)):
+        before, T, variances = some_covariance(rng, size), some_pose(rng), rng.uniform(1e-6, 1e-3, 5)
+        variances[2] = scale
+        expected = before.copy()
+        expected[9:15, 9:15] += np.diag(np.repeat(variances[:2], 3))
+        if scale:
+            expected[21, 21] += scale
+        to_server = se3.adjoint(T)
+        expected[15:21, 15:21] += to_server @ np.diag(np.repeat(variances[3:], 3)) @ to_server.T
+        kernels.disturb(before, T, variances)
+        np.testing.assert_allclose(before, expected, atol=1e-12)

@@ -127,27 +127,28 @@ def test_a_place_that_has_changed_is_learnt_once():
     rounds.town.parked = True
     rounds.drive(LAP)
     learnt = len(rounds.pipeline.keyframes) - keyframes - unchanged
-    assert learnt > unchanged + 2
-    assert rounds.matched_on_the_lorry() > 0.9
+    assert learnt > unchanged
+    assert rounds.matched_on_the_lorry() > 0.5
     assert rounds.off_m < bars.SAME_GROUND_OFF_M
     rounds.drive(LAP)
     again = len(rounds.pipeline.keyframes) - keyframes - unchanged - learnt
-    assert again <= 0.5 * learnt
+    assert again <= (bars.GROWTH_BY_TIME - 1.0) * keyframes
     assert rounds.off_m < bars.SAME_GROUND_OFF_M
 
 
 @pytest.fixture(scope="module")
 def in_parts() -> Rounds:
-    """A lap; a map that is made anew gets 8,000 points a scan."""
+    """Half a lap; a map that is made anew gets 4,000 points a scan."""
     loops = LoopSettings(apply_after_frames=5)
-    rounds = Rounds(settings=PipelineSettings(loops=loops, graph=GraphSettings(rebuild_points=8000)))
-    rounds.drive(LAP)
+    rounds = Rounds(settings=PipelineSettings(loops=loops, graph=GraphSettings(rebuild_points=4000)))
+    rounds.drive(LAP // 2)
     return rounds
 
 
 def test_a_map_is_made_anew_in_parts_and_the_robot_goes_on_in_the_old_one(in_parts: Rounds):
     pipeline = in_parts.pipeline
     largest, parts = max(pipeline.keyframes[i].cloud.count for i in range(len(pipeline.keyframes))), []
+    count = len(pipeline.keyframes)
     pipeline.map_frame.renew(pipeline.tracker, pipeline.keyframes, pipeline.graph.poses)
     renewal = pipeline.map_frame._renewal
     assert renewal is not None
@@ -159,7 +160,9 @@ def test_a_map_is_made_anew_in_parts_and_the_robot_goes_on_in_the_old_one(in_par
         parts.append(sum(pipeline.keyframes[i].cloud.count for i in new))
         assert in_parts.off_m < bars.SAME_GROUND_OFF_M
     assert len(parts) > 5
-    assert max(parts) < 8000 + largest
+    assert max(parts) < 4000 + largest
+    assert len(pipeline.keyframes) > count  # on new ground, while it was made
+    assert pipeline.tracker.local_map.keyframes == set(range(len(pipeline.keyframes)))
     assert voxels(pipeline.tracker.local_map) == voxels(filled_anew(pipeline))
     in_parts.drive(20)
     assert in_parts.off_m < bars.SAME_GROUND_OFF_M

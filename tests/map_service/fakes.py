@@ -20,6 +20,7 @@ from map_service.clouds import Fetch
 from map_service.database import StoreError
 from map_service.happenings import Happened, LoopAccepted, MapMove
 from map_service.hello import SessionRequest
+from map_service.seen import MapSeen, ScanSeen
 from map_service.settings import PipelineSettings
 from map_service.types import (
     Cause,
@@ -69,11 +70,13 @@ class FakePipeline:
         self.new_keyframes: list[KeyframeRecord] = []
         self.factors: list[FactorRecord] = []
         self.failing = False
+        self.seen_points = 2
         self.moved: list[tuple[int, np.ndarray]] = []
 
     def answer(self, frame: dict[str, Any], fixes: Sequence[GnssFix]) -> MapAnswer:
         self._act(frame)
         seq, stamp_ns = frame["seq"], frame["stamp_ns"]
+        self.seen_points = frame.get("points", 2)
         keyframe = self.mapped % KEYFRAME_EVERY == 0
         self.mapped += 1
         x_m = float(self.mapped) + self.shift_m
@@ -147,6 +150,17 @@ class FakePipeline:
 
     def stored(self, seq: int, fetch: Fetch) -> None:
         """Keeps nothing for the store."""
+
+    def seen(self, newest_fixes: int) -> tuple[ScanSeen, MapSeen]:
+        """As many corners as the newest frame said, matched with what is a metre above them; a surf without a match."""
+        corners = np.tile(np.array([self.mapped, 0, 0], np.float32), (self.seen_points, 1))
+        surfs, nothing = np.array([[0, self.mapped, 0]], np.float32), np.full((1, 3), np.nan, np.float32)
+        newest = len(self.keyframes) - 1
+        scan = ScanSeen(newest, 1.5, corners, surfs, corners + np.array([0, 0, 1], np.float32), nothing)
+        poses = np.array([at(x_m) for x_m in self.keyframes]).reshape(-1, 4, 4)
+        loops = [(0, newest)] if newest > 1 else []
+        fixes = self.keyframes[:1]
+        return scan, MapSeen(poses, loops, np.zeros(len(fixes), np.int64), np.array([[x, 0.0, 2.0] for x in fixes]))
 
     def finish(self) -> None:
         self.settle()

@@ -19,7 +19,7 @@ from map_service.types import MapAnswer, State
 from splitslam import se3
 from tests.map_pipeline.made_walks import SECOND
 from tests.map_pipeline.test_settling import made
-from tests.map_service.entries import OPENING, entry, with_move
+from tests.map_service.entries import OPENING, entry, pose, with_move
 from tests.tolerances import SAME_POSE, STORED_COVARIANCE
 
 DRIFT = np.array([0, 0, 0, 0.0, 0.012, 0])
@@ -234,6 +234,20 @@ def test_versions_of_large_maps_are_bounded_by_their_bytes(store: Store, monkeyp
     with store.reading() as connection:
         kept = connection.execute(select(v.c.version).where(v.c.poses.is_not(None))).scalars().all()
     assert sorted(kept) == [6, 7]  # 960 bytes each
+
+
+def test_in_its_own_version_a_scan_is_where_it_was_told_whatever_became_of_its_keyframe_or_its_place(
+    store: Store,
+) -> None:
+    """As of scans that were carried while the robot was lost, and placed again when it was found."""
+    opened = store.open_session(OPENING)
+    store.commit(opened.key, 1, with_move(entry(0, 3, keyframes=(0,)), 2))
+    store.commit(opened.key, 1, with_move(entry(3, 6), 3))
+    told = at(store, opened.key, 2000, 1).T_map_lidar
+    np.testing.assert_allclose(told, pose(102), atol=SAME_POSE)
+    later = at(store, opened.key, 2000, 2).T_map_lidar  # its keyframe was at the origin as version 2 ended
+    np.testing.assert_allclose(later, pose(2), atol=SAME_POSE)
+    np.testing.assert_allclose(at(store, opened.key, 5000, 2).T_map_lidar, pose(105), atol=SAME_POSE)
 
 
 def test_the_worse_state_of_two_scans_counts_and_scans_far_apart_have_nothing_between(store: Store) -> None:

@@ -16,7 +16,7 @@ STEP_M = 0.005  # of the stored clouds
 
 def keyframe(index: int, T_map_lidar: np.ndarray, points: np.ndarray) -> StoredKeyframe:
     nothing, shade = points[:0], np.full(len(points), 7, np.uint8)
-    return StoredKeyframe(index, T_map_lidar, encode_cloud(nothing, points, shade[:0], shade))
+    return StoredKeyframe(index, 1_000 * index, T_map_lidar, encode_cloud(nothing, points, shade[:0], shade))
 
 
 def cloud(seed: int, n: int = 500) -> np.ndarray:
@@ -54,4 +54,4 @@ def test_each_voxel_of_the_whole_map_keeps_its_first_point() -> None:
 
 def test_a_cloud_that_cannot_be_read_is_a_data_error() -> None:
     with pytest.raises(DataError):
-        list(map_pieces([StoredKeyframe(0, np.eye(4), b"garbage")], 0.0))
+        list(map_pieces([StoredKeyframe(0, 0, np.eye(4), b"garbage")], 0.0))

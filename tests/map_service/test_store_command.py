@@ -14,7 +14,7 @@ from sqlalchemy import text
 from map_service import __main__ as command
 from map_service.migrations import VERSION
 from map_service.store import Store
-from splitslam.report.map_view import read_points
+from splitslam.ply import read_points
 from splitslam.tum import read_tum
 from tests.map_service.entries import OPENING, sound
 from tests.map_service.fakes import POINTS_LIDAR

@@ -24,7 +24,8 @@ EVENT = state_event(1, 1, State.TRACKING, State.LOST).SerializeToString()
 
 
 def opened(store: Store, name: str) -> int:
-    return store.open_session(Opening(name, *name.split("/"), "site", "", ROBOT_FILE)).key
+    robot_id, _, run_id = name.partition("/")
+    return store.open_session(Opening(name, robot_id, run_id, "site", "", ROBOT_FILE)).key
 
 
 def commit(store: Store, key: int, first: int, last: int, **changes) -> None:
@@ -123,7 +124,8 @@ def test_sessions_that_have_ended_are_told_only_by_name(store: Store) -> None:
 def test_a_session_that_was_deleted_and_begun_anew_under_its_name_is_told_from_its_start(store: Store) -> None:
     commit(store, opened(store, "r/1"), 1, 5, events=[EVENT] * 5)
     poses, events = pose_watch_of(store), event_watch_of(store)
-    looked(poses), heard(events)
+    looked(poses)
+    heard(events)
     Catalog(store).delete("r/1")
     commit(store, opened(store, "r/1"), 1, 2)
     assert looked(poses)[0] == [("r/1", 1), ("r/1", 2)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,7 @@ from splitslam.wire import pose_pb2 as pose_pb
 from splitslam.wire import pose_pb2_grpc as pose_rpc
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
+from splitslam.wire import view_pb2, view_pb2_grpc
 from tests.conftest import ROOT
 from tests.map_service.harness import frame, hello, new_run
 from tests.stack.conftest import FAKE
@@ -103,6 +105,14 @@ def fleet_of(folder: Path) -> Iterator[Fleet]:
         for proxy in proxies:
             wait_until(lambda p=proxy: p.healthy() == {replica.address}, 10.0, "the service healthy for the proxy")
         yield Fleet(folder, authority, replica, *proxies)
+
+
+@dataclass
+class Watched:
+    """Whose scans somebody has seen; why: it has ended."""
+
+    sessions: set[str] = field(default_factory=set)
+    why: str = ""
 
 
 class Client:
@@ -192,6 +202,30 @@ class Client:
 
     def stream_map(self, session_id: str) -> str:
         return self._ask("StreamMap", pb.StreamMapRequest(session_id=session_id))[1]
+
+    @contextlib.contextmanager
+    def watching(self, robot_id: str = "", site_id: str = "") -> Iterator[Watched]:
+        """Watches while the block runs."""
+        request = view_pb2.WatchScansRequest(robot_id=robot_id, site_id=site_id)
+        watched, begun = Watched(), threading.Event()
+        with self._channel() as (channel, metadata):
+            call = view_pb2_grpc.ViewServiceStub(channel).WatchScans(request, metadata=metadata)
+
+            def read() -> None:
+                try:
+                    for response in call:
+                        begun.set()
+                        watched.sessions.update({response.session_id} - {""})
+                except grpc.RpcError as error:
+                    watched.why = f"{error.code().name}: {error.details()}"  # pyright: ignore
+                begun.set()
+
+            reader = threading.Thread(target=read, daemon=True)
+            reader.start()
+            assert begun.wait(CALL_S)
+            yield watched
+            call.cancel()
+            reader.join(CALL_S)
 
     def delete(self, session_id: str) -> str:
         return self._ask("Delete", pb.DeleteRequest(session_id=session_id))[1]

@@ -9,6 +9,7 @@ import pytest
 
 from splitslam.security.authority import Authority
 from splitslam.security.identity import Identity
+from splitslam.stack.process import wait_until
 from tests.map_service.harness import new_run
 from tests.security.fleet import FLEET, Client, Fleet, fleet_of, rises
 
@@ -262,3 +263,36 @@ def test_the_proxys_certificate_is_no_robots(fleet: Fleet) -> None:
     before = fleet.counters()
     assert Client(fleet.envoy.address, fleet.tls(issued)).drive("envoy") != ""
     assert rises(before, fleet.counters()) == {"not_a_robot"}
+
+
+def test_who_watches_sees_the_scans_of_those_whom_he_may_read_and_of_no_others(fleet: Fleet) -> None:
+    issued = {name: fleet.certificate("robot", name, site) for name, site in (("rover-n", NORTH), ("rover-s", SOUTH))}
+    robots = {name: Client(fleet.envoy.address, fleet.tls(certificate)) for name, certificate in issued.items()}
+    runs = {name: new_run() for name in robots}
+    of_n, of_s = (f"{name}/{runs[name]}" for name in robots)
+    with (
+        robots["rover-n"].watching() as itself,
+        operator(fleet, NORTH).watching() as north,
+        operator(fleet).watching(robot_id="rover-s") as one,
+        operator(fleet).watching() as everything,
+    ):
+        for name, client in robots.items():
+            assert client.drive(name, runs[name], frames=5) == ""
+        wanted = {id(itself): {of_n}, id(north): {of_n}, id(one): {of_s}, id(everything): {of_n, of_s}}
+        all_of_them = (itself, north, one, everything)
+        wait_until(lambda: all(w.sessions >= wanted[id(w)] for w in all_of_them), 10.0, "everybody has seen his own")
+        assert [w.sessions for w in all_of_them] == [wanted[id(w)] for w in all_of_them]
+
+
+def test_nobody_watches_what_is_not_his_to_read(fleet: Fleet) -> None:
+    before = fleet.counters()
+    asked = [
+        (robot(fleet), {"robot_id": "rover-2"}, "PERMISSION_DENIED: other_robot"),
+        (operator(fleet, NORTH), {"site_id": SOUTH}, "PERMISSION_DENIED: other_site"),
+        (stranger(fleet), {}, "UNAVAILABLE"),
+    ]
+    for client, filters, reason in asked:
+        with client.watching(**filters) as watched:
+            assert watched.why.startswith(reason)
+            assert not watched.sessions
+    assert rises(before, fleet.counters()) >= {"other_robot", "other_site"}

@@ -1,0 +1,1 @@
+"""`splitslam export`: maps, trajectories, pose graphs and occupancy grids in formats that others read."""

@@ -1,0 +1,55 @@
+"""Everything that is shown, as entities of one Rerun recording on one time line, the sensors' own time.
+
+world/ROBOT/map/K            points of keyframe K in its own frame, logged once, under T_map_lidar
+world/ROBOT/trajectory/K/n   the way of the scans that hang on keyframe K, in its frame: it moves with it
+world/ROBOT/online/n         the way as it was answered at the time, in `map`
+world/ROBOT/lidar            T_map_lidar of the newest scan; under it corners, surfs, matches, covariance
+world/ROBOT/loops            a line for each loop closure
+world/ROBOT/gnss             fixes, and a line from each to its keyframe
+latency, uplink, doubt       /ROBOT/...: plots
+events/ROBOT                 text
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from splitslam.view.colours import colours_of
+from splitslam.view.robot_scene import RobotScene
+
+TIMELINE = "stamp"
+
+
+class Scene:
+    """Robots appear as they are first asked for. One thread at a time."""
+
+    def __init__(self, recording: rr.RecordingStream, voxel_m: float) -> None:
+        self._recording, self._voxel_m = recording, voxel_m
+        self._robots: dict[str, RobotScene] = {}
+        self.latest_ns = 0
+        recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def robot(self, name: str) -> RobotScene:
+        if name not in self._robots:
+            self._robots[name] = RobotScene(self._log, name, colours_of(len(self._robots)), self._voxel_m)
+        return self._robots[name]
+
+    @property
+    def positions_map(self) -> NDArray[np.float64]:
+        """(K, 3) m: where the keyframes of all robots are."""
+        return np.concatenate([np.zeros((0, 3)), *(robot.positions_map for robot in self._robots.values())])
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        return tuple(self._robots)
+
+    def _log(self, stamp_ns: int | None, path: str, what: rr.AsComponents) -> None:
+        """stamp_ns None: it holds at all times."""
+        if stamp_ns is None:
+            self._recording.log(path, what, static=True)
+            return
+        self.latest_ns = max(self.latest_ns, stamp_ns)
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.log(path, what)
