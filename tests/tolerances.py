@@ -184,11 +184,10 @@ G2O_BACK_M = 1e-3
 # Occupancy grid of a made world: occupied cells with geometry within one cell of 5 cm; free ones of those really seen.
 GRID_OCCUPIED_NEAR = 0.95
 GRID_FREE_RECALL = 0.90
-# Nine seconds of yard1 at its own pace through ROS: answers against the truth (from the file, in lockstep: 2.4 mm; by
-# the clock half as much again); transforms on /tf once it runs, laid on the truth by one of them (its own error, and
-# the truth interpolated over 0.1 s of a walk: 5 mm each).
+
+# Nine seconds of yard1 at its own pace through ROS, answers against the truth (from the file, in lockstep: 2.4 mm; by
+# the clock half as much again).
 LIVE_ROS_ATE_M = 0.0035
-LIVE_ROS_TF_M = 0.03
 
 # Stamps by arrival: 80 ppm of drift over the 8 s in which the quickest message counts, and what messages are late by.
 LIVE_CLOCK_S = 1.5e-3

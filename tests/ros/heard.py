@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
-from splitslam.tum import Trajectory
+from splitslam.tum import read_tum
 
 
 def matrix(numbers: list[float]) -> NDArray[np.float64]:
@@ -62,18 +63,12 @@ class Heard:
                 step = se3.log(se3.inv(matrix(before["pose"])) @ matrix(after["pose"])) / step_s
                 np.testing.assert_allclose(after["twist"], [*step[3:], *step[:3]], atol=1e-6)
 
-    def largest_from_m(self, truth: Trajectory, T_body_lidar: NDArray[np.float64]) -> float:
-        """How far `map -> odom -> base_link`, second half, leads from where the LiDAR was, laid on the truth where that
-        half begins."""
-        errors_m = []
-        first: NDArray[np.float64] | None = None
-        for edges in self.tf[len(self.tf) // 2 :]:
-            at = int(np.searchsorted(truth.stamps_ns, edges[0]["stamp_ns"]))
-            poses = [se3.from_quat(truth.positions_m[k], truth.quats_xyzw[k]) for k in (at - 1, at)]
-            start_ns, end_ns = truth.stamps_ns[at - 1 : at + 1].tolist()
-            true = se3.interpolate(poses[0], poses[1], (edges[0]["stamp_ns"] - start_ns) / (end_ns - start_ns))
-            T = matrix(edges[0]["pose"]) @ matrix(edges[1]["pose"]) @ T_body_lidar
-            first = true @ se3.inv(T) if first is None else first
-            errors_m.append(float(np.linalg.norm((first @ T)[:3, 3] - true[:3, 3])))
-        assert len(errors_m) > 50
-        return max(errors_m)
+    def check_place(self, out: Path, T_body_lidar: NDArray[np.float64]) -> None:
+        """`map -> odom -> base_link` leads to where the agent's own file (T_map_lidar at IMU rate) has the LiDAR."""
+        own = read_tum(out / "imu.tum")
+        row = {stamp_ns: k for k, stamp_ns in enumerate(own.stamps_ns.tolist())}
+        assert len(self.tf) > 50
+        for edges in self.tf:
+            k = row[edges[0]["stamp_ns"]]
+            T_map_lidar = matrix(edges[0]["pose"]) @ matrix(edges[1]["pose"]) @ T_body_lidar
+            np.testing.assert_allclose(T_map_lidar, se3.from_quat(own.positions_m[k], own.quats_xyzw[k]), atol=1e-6)

@@ -151,6 +151,8 @@ class DdsGraph:
             self._closed = True
             self._closing.set(True)
             self._thread.join()
+            for writer in self._own:
+                writer.wait_for_acks(duration(milliseconds=200))
             self._participant._delete(self._participant._ref)  # now, and all of it: not when Python comes round to it
 
 
