@@ -153,8 +153,7 @@ class DdsGraph:
             self._thread.join()
             for writer in self._own:
                 writer.wait_for_acks(duration(milliseconds=200))
-            # now, and all of it: not when Python comes round to it
-            self._participant._delete(self._participant._ref)  # pyright: ignore[reportCallIssue]
+            self._participant.__del__()  # with all that is in it, and not when Python comes round to it
 
 
 def _dds_name(topic: str) -> str:
