@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.fuzz import recordings, storage, wire
+from tests.fuzz import recordings, sensors, storage, wire
 from tests.fuzz.target import Target
 
 TARGETS: dict[str, Callable[[], Target]] = {
@@ -18,4 +18,8 @@ TARGETS: dict[str, Callable[[], Target]] = {
     "packets": storage.packets,
     "point_clouds": storage.point_clouds,
     "recordings": recordings.recordings,
+    "mip": sensors.mip,
+    "nmea": sensors.nmea,
+    "udp_packets": sensors.udp_packets,
+    "captures": sensors.captures,
 }

@@ -24,6 +24,10 @@ INPUTS = {
     "packets": 4000,
     "point_clouds": 1200,
     "recordings": 300,
+    "mip": 1000,
+    "nmea": 600,
+    "udp_packets": 60,
+    "captures": 1500,
 }
 
 

@@ -21,6 +21,7 @@ from edge_agent.sources.live.smoothing import SmoothedArrivals
 from edge_agent.sources.source import Counts
 from splitslam.scan import ImuSamples
 
+_LONGEST_NS = 1 << 62  # a device's own time beyond is none
 SYNC = b"\x75\x65"
 _HEAD, _CHECK = 4, 2
 _SENSOR_DATA = 0x80
@@ -129,12 +130,14 @@ class MipFeed:
             if kind in fields:
                 time_of_week_s, week, flags = _GPS.unpack(fields[kind])
                 locked = flags & locked_flags == locked_flags
-                if math.isfinite(time_of_week_s) and self._takes_gps(locked):
+                if 0.0 <= time_of_week_s < _WEEK_S and self._takes_gps(locked):
                     since_s = _GPS_EPOCH_S - _LEAP_S + week * _WEEK_S
                     stamp_ns = since_s * 1_000_000_000 + round(time_of_week_s * 1e9)
                     return stamp_ns, TimeBase.GPS if locked else TimeBase.OWN
         if _REFERENCE_TIME in fields:
-            return _NS.unpack(fields[_REFERENCE_TIME])[0], TimeBase.OWN
+            stamp_ns = _NS.unpack(fields[_REFERENCE_TIME])[0]
+            if stamp_ns < _LONGEST_NS:
+                return stamp_ns, TimeBase.OWN
         return None, TimeBase.NONE
 
     def _takes_gps(self, locked: bool) -> bool:

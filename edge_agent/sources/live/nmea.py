@@ -11,13 +11,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pynmeagps import NMEAParseError, NMEAReader
+from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamError, NMEATypeError
 
 from edge_agent.sources.live.clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
 from splitslam.scan import GnssFix
 
 _DAY_NS = 86_400_000_000_000
+_FIELDS = {
+    "GGA": ("time", "quality", "lat", "lon", "alt", "sep", "HDOP"),
+    "GST": ("time", "stdLat", "stdLong", "stdAlt"),
+    "RMC": ("time", "status", "date"),
+}
+_REFUSALS = (NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError)
 _LONGEST = 1024  # bytes without an end of line: no NMEA
 # Standard deviation along each horizontal axis at HDOP 1, m, by GGA's quality: single point, differential, PPS, RTK
 # fixed, RTK float, simulator. Others (none, dead reckoning, typed in) are no measurement of satellites.
@@ -27,11 +33,14 @@ _VERTICAL = 2.0  # of the horizontal sigma: satellites are all above
 
 
 def parse(sentence: bytes) -> Any | None:
-    """The message, or None when it is none, or its checksum is wrong."""
+    """The message, or None when it is none, its checksum is wrong, or fields that it should have are missing."""
     try:
-        return NMEAReader.parse(sentence)
-    except (NMEAParseError, ValueError, TypeError, KeyError, IndexError, AttributeError):
+        message = NMEAReader.parse(sentence)
+    except (*_REFUSALS, ValueError, TypeError, KeyError, IndexError, AttributeError):
         return None  # the parser trips over more than it says
+    if message is None or not all(hasattr(message, field) for field in _FIELDS.get(message.msgID, ())):
+        return None
+    return message
 
 
 def valid_rmc_ns(sentence: bytes) -> int | None:
