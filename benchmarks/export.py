@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -79,8 +78,14 @@ def cost_of(name: str, points: int, voxel_m: float, out: Path) -> Cost:
     else:
         written = cloud_writer(name)(path, made_map(points, voxel_m), InUtm(_SOMEWHERE), "made")
     wall_s, cpu_s = round(time.monotonic() - start_s, 1), round(time.process_time() - start_cpu_s, 1)
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak_mb = _peak_mb()
     return Cost(name, written, round(peak_mb), wall_s, cpu_s, round(path.stat().st_size / 1e6))
+
+
+def _peak_mb() -> float:
+    """Of this program alone: ru_maxrss would be that of a large process which has started it."""
+    line = next(l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmHWM:"))
+    return int(line.split()[1]) / 1024
 
 
 def measured(name: str, points: int, voxel_m: float = 0.0, folder: Path | None = None) -> Cost:

@@ -210,6 +210,7 @@ def test_options_beat_the_environment_and_that_beats_the_file(
     assert seen["server"].startswith("127.0.0.1:")
     assert seen["disable"] == ["loops", "gnss"]
     source = {"realtime": True, "max_scans": 7, "queue_scans": 20, "began_s": None}
+    source |= dict.fromkeys(("live", "ros1", "ros2"))
     assert seen["source"] | {"recording": ""} == {"recording": "", **source}
 
 

@@ -6,14 +6,14 @@ import os
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.chromium import Chromium, chromium
+from benchmarks.chromium import Chromium, ChromiumError, chromium
 from splitslam.view.colours import colours_of
 from tests import debian
 from tests.conftest import ROOT
@@ -64,9 +64,10 @@ def test_map_and_trajectory_of_a_finished_run_are_visible(browser: Chromium, tmp
     colours = colours_of(0)
     with page_of(str(tmp_path)) as url:
         browser.open(url)
-        deadline_s = time.monotonic() + SHOWN_S
+        deadline_s, world = time.monotonic() + SHOWN_S, np.zeros((*SIZE[::-1], 3), np.uint8)
         while True:
-            world = world_of(browser.picture())
+            with suppress(ChromiumError):  # while it loads, a page may be none for a moment
+                world = world_of(browser.picture())
             way, walls = near(world, colours.way), near(world, colours.map_high) | near(world, colours.map_low)
             if (way.sum() > 300 and walls.sum() > 3_000) or time.monotonic() > deadline_s:
                 break

@@ -64,7 +64,7 @@ def mark_hits(points, frame, marks, counts, stamp):
         layer = layer_of(points[k, 2], frame, layers)
         if 0 <= i < rows and 0 <= j < cols and layer >= 0 and marks[HIT, layer, i, j] != stamp:
             marks[HIT, layer, i, j] = stamp
-            counts[HIT, layer, i, j] = min(counts[HIT, layer, i, j] + 1, FULL)
+            counts[HIT, layer, i, j] = min(int(counts[HIT, layer, i, j]) + 1, FULL)
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -100,7 +100,7 @@ def trace_rays(sensor, ends, stops, frame, ground, marks, counts, stamp):
             layer = layer_of(height, frame, layers)
             if layer >= 0 and marks[HIT, layer, i, j] != stamp and marks[MISS, layer, i, j] != stamp:
                 marks[MISS, layer, i, j] = stamp
-                counts[MISS, layer, i, j] = min(counts[MISS, layer, i, j] + 1, FULL)
+                counts[MISS, layer, i, j] = min(int(counts[MISS, layer, i, j]) + 1, FULL)
             at = leaves
             if next_x <= next_y:
                 j += 1 if dx > 0.0 else -1
