@@ -132,7 +132,7 @@ class _Run:
         self._queue = EventQueue(config.source.queue_scans, by_the_clock, metrics)
         self._after = StartAfter(0, -(2**62), live=source.live_offset_ns is not None)
         began_s, offset_ns = config.source.began_s, source.live_offset_ns
-        self._reader = Reader(self._events(), self._queue, by_the_clock, began_s, offset_ns)
+        self._reader = Reader(self._events(), self._queue, by_the_clock, began_s, offset_ns, lambda: source.start_ns)
         feed = None
         if config.feed.socket is not None:
             feed = PoseFeed(config.feed, config.feed.socket, robot.T_body_lidar, metrics)

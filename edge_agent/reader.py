@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from edge_agent.metrics import EdgeMetrics
@@ -117,8 +117,9 @@ class Reader(threading.Thread):
     Otherwise batches end at scans and at fixed counts only, so that two runs see the same ones.
     live_offset_ns: of a live source (Source.live_offset_ns): nothing waits, and a batch is what came together. What has
     come while the agent started is handed over as fast as it is taken, and not dropped; from then on the newest counts.
-    began_s: when the first event is due, on the monotonic clock; what is past when the reader gets there is skipped,
-    and its scans are counted in `passed_scans`.
+    began_s: when the source's first message is due, on the monotonic clock; what is past when the reader gets there is
+    skipped, and its scans are counted in `passed_scans`. first_ns: when that message came, known with the first event;
+    None: with the first event.
     """
 
     def __init__(
@@ -128,8 +129,10 @@ class Reader(threading.Thread):
         realtime: bool,
         began_s: float | None = None,
         live_offset_ns: int | None = None,
+        first_ns: Callable[[], int] | None = None,
     ) -> None:
         super().__init__(name="reader", daemon=True)
+        self._first_ns = first_ns
         self._events, self._queue = events, queue
         self._paced = realtime and live_offset_ns is None
         self._stopped = threading.Event()
@@ -144,6 +147,12 @@ class Reader(threading.Thread):
     def due_s(self, arrival_ns: int) -> float:
         """When what the source says came at `arrival_ns` is or was due, on the monotonic clock; by the clock only."""
         return self._origin_s + arrival_ns * 1e-9
+
+    def _origin_of(self, arrival_ns: int, now_s: float) -> float:
+        """From the first event's arrival; a run that goes on has left out what came before it."""
+        if self._began_s is None:
+            return now_s - arrival_ns * 1e-9
+        return self._began_s - (arrival_ns if self._first_ns is None else self._first_ns()) * 1e-9
 
     def stop(self) -> None:
         """Ends the reading and the loop at once."""
@@ -198,7 +207,7 @@ class Reader(threading.Thread):
             if self._paced:
                 now_s = time.monotonic()
                 if math.isnan(self._origin_s):
-                    self._origin_s = (now_s if self._began_s is None else self._began_s) - event[0] * 1e-9
+                    self._origin_s = self._origin_of(event[0], now_s)
                 wait_s = self.due_s(event[0]) - now_s
                 listening = listening or wait_s >= 0
                 if not listening:

@@ -100,6 +100,16 @@ def test_agents_with_the_same_beginning_see_an_event_at_the_same_time():
     assert time.monotonic() >= began_s
 
 
+def test_an_agent_that_goes_on_with_a_run_keeps_the_clock_of_the_recordings_first_message():
+    queue, later = EventQueue(50, may_drop=True, metrics=EdgeMetrics()), list(events(5))[-2:]
+    began_s = time.monotonic()
+    reader = Reader(iter(later), queue, realtime=True, began_s=began_s, first_ns=lambda: next(events(5))[0])
+    reader.start()
+    flat(list(queue.batches()))
+    assert reader.passed_scans == 0
+    assert time.monotonic() - began_s >= (later[-1][0] - next(events(5))[0]) * 1e-9 - 0.01
+
+
 def test_an_error_while_reading_comes_out_of_the_loop_after_what_was_read():
     def broken() -> Iterator[TimedEvent]:
         yield from events(3)
