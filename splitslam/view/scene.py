@@ -1,7 +1,8 @@
 """Everything that is shown, as entities of one Rerun recording on one time line, the sensors' own time.
 
-world/ROBOT/map/K            points of keyframe K in its own frame, logged once, under T_map_lidar
-world/ROBOT/trajectory/K/n   the way of the scans that hang on keyframe K, in its frame: it moves with it
+world/ROBOT/map/n            points of a block of keyframes, in the frame of its first one, under T_map_lidar of that
+world/ROBOT/map/newest/n     points of a keyframe whose block is not complete, in its own frame
+world/ROBOT/trajectory/n     the way of the scans that hang on a block's keyframes: it moves with them
 world/ROBOT/online/n         the way as it was answered at the time, in `map`
 world/ROBOT/lidar            T_map_lidar of the newest scan; under it corners, surfs, matches, covariance
 world/ROBOT/loops            a line for each loop closure
