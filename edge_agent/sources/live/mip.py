@@ -128,12 +128,12 @@ class MipFeed:
         return _Sample(gyro_radps, (x, y, z), stamp_ns, base)
 
     def _stamp(self, fields: dict[int, memoryview]) -> tuple[int | None, TimeBase]:
-        """GPS' time from when it is first locked, else the device's own, else none."""
+        """GPS' time while it is locked (while the run goes on also after), else the device's own, else none."""
         for kind, locked_flags in _LOCKED_FLAGS.items():
             if kind in fields:
                 time_of_week_s, week, flags = _GPS.unpack(fields[kind])
                 locked = flags & locked_flags == locked_flags
-                self._in_gps_time = self._in_gps_time or locked
+                self._in_gps_time = locked or (self._in_gps_time and bool(self._clock.chosen))
                 if 0.0 <= time_of_week_s < _WEEK_S and self._in_gps_time:
                     since_s = _GPS_EPOCH_S - _LEAP_S + week * _WEEK_S
                     stamp_ns = since_s * 1_000_000_000 + round(time_of_week_s * 1e9)
