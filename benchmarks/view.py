@@ -116,13 +116,17 @@ def _largest(cpu_s: Mapping[str, float], count: int = 6) -> list[tuple[str, floa
 def _cpu(view: int, page: int) -> Counter[tuple[str, str]]:
     """CPU seconds so far by thread, those of one name together: of our program, Rerun's server, and Chromium.
 
-    Chromium's threads run beside each other: CrRendererMain is the page, CrGpuMain and llvmpipe-N draw for it.
+    Chromium's threads run beside each other: the renderer's main one is the page, the GPU process's and llvmpipe-N draw.
     """
     found: Counter[tuple[str, str]] = Counter()
-    servers = [pid for pid, command in tree(view) if "rerun_cli" in command]
-    for where, pids in (("view", [view]), ("rerun", servers), ("page", [pid for pid, _ in tree(page)])):
-        for (thread, name), s in threads_s(pids).items():
-            found[where, f"{name} {thread}" if name.startswith("Thread") else name] += s
+    for pid, command in tree(view):
+        where = "rerun" if "--bind" in command else "view"
+        for (_, name), s in threads_s([pid]).items():
+            found[where, name] += s
+    for pid, command in tree(page):
+        process = command.partition("--type=")[2].partition(" ")[0] or "browser"
+        for (thread, name), s in threads_s([pid]).items():
+            found["page", f"{process} {'main' if thread == pid else name}"] += s
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from splitslam.view.thinning import Thinner
 COVARIANCE_SCALE = 100.0  # three sigmas of a good pose are millimetres
 MOST_LINES = 400  # correspondences of a scan; more of them say no more to the eye
 _SIGMAS = 3.0
+_COARSER, _FINEST_M = 1.5, 0.05  # a map with more points than wanted: its voxels grow by that, from that at least
 _PIECES = 20  # of the way as it was answered, that are one entity
 _NEAR_M = 5.0  # the way of a keyframe begins where that of the one before has ended
 _LEVELS = {"lost": "ERROR", "degenerate": "WARN", "localising": "WARN", "unanchored": "WARN"}
@@ -28,12 +29,17 @@ _LEVELS = {"lost": "ERROR", "degenerate": "WARN", "localising": "WARN", "unancho
 class RobotScene:
     """A correction logs transforms, and points only where it bends a block of keyframes: keyframe_blocks.py."""
 
-    def __init__(self, log: Log, name: str, colours: c.RobotColours, voxel_m: float) -> None:
-        """log: (stamp_ns, entity path, archetype); without a stamp it holds at all times."""
+    def __init__(
+        self, log: Log, name: str, colours: c.RobotColours, voxel_m: float, most_points: Callable[[], int] | None = None
+    ) -> None:
+        """log: (stamp_ns, entity path, archetype); without a stamp it holds at all times.
+
+        voxel_m: of the map, 0: every point. most_points: of the map; beyond, the voxels become larger. None: no bound.
+        """
         self._log, self._colours = log, colours
         self._name = str(rr.new_entity_path([name]))
         self._world = f"world{self._name}"
-        self._thinner = Thinner(voxel_m)
+        self._thinner, self._most_points = Thinner(voxel_m), most_points
         self._blocks = KeyframeBlocks(log, self._world, {"radii": _ui(1.25)}, _line(colours.way, 2.5))
         self._way, self._way_keyframe = Piece(), -1  # the newest piece, in the frame of that keyframe
         self._last_map: Array | None = None
@@ -88,12 +94,14 @@ class RobotScene:
         self.move(stamp_ns, {index: T_map_lidar})
         if not self._blocks.shows(index):
             self._blocks.add(stamp_ns, index, self._cloud(T_map_lidar, points_lidar))
+            self._thin_out(stamp_ns)
 
     def stored_keyframe(self, stamp_ns: int, index: int, T_map_lidar: Array, points_lidar: Points) -> None:
         """One of many that were taken before; all of them are shown after `settle`."""
         self.move(stamp_ns, {index: T_map_lidar})
         if not self._blocks.shows(index):
             self._blocks.put(stamp_ns, index, self._cloud(T_map_lidar, points_lidar))
+            self._thin_out(stamp_ns)
 
     def settle(self) -> None:
         """All stored keyframes are there."""
@@ -107,6 +115,15 @@ class RobotScene:
             low, high = np.percentile(heights_m, [2, 98])
             self._heights_m = float(low), float(max(high, low + 3.0))
         return Cloud(points_lidar[kept], self._colours.by_height(heights_m[kept], *(self._heights_m or (0.0, 1.0))))
+
+    def _thin_out(self, stamp_ns: int) -> None:
+        while self._most_points is not None and self._blocks.points > self._most_points():
+            self._thinner = Thinner(_COARSER * max(self._thinner.voxel_m, _FINEST_M))
+            self._blocks.thin(stamp_ns, self._thinned)
+
+    def _thinned(self, T_map_lidar: Array, cloud: Cloud) -> Cloud:
+        kept = self._thinner.kept(cloud.points @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3])
+        return Cloud(cloud.points[kept], cloud.colours[kept])
 
     def move(self, stamp_ns: int, poses: Mapping[int, Array]) -> None:
         """Keyframes are there now, T_map_lidar by number: with their points and the ways from them."""

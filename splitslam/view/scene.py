@@ -26,16 +26,22 @@ TIMELINE = "stamp"
 class Scene:
     """Robots appear as they are first asked for. One thread at a time."""
 
-    def __init__(self, recording: rr.RecordingStream, voxel_m: float) -> None:
-        self._recording, self._voxel_m = recording, voxel_m
+    def __init__(self, recording: rr.RecordingStream, voxel_m: float, most_points: int = 0) -> None:
+        """voxel_m: of maps, 0: every point. most_points: of all maps together, 0: no bound."""
+        self._recording, self._voxel_m, self._most_points = recording, voxel_m, most_points
         self._robots: dict[str, RobotScene] = {}
         self.latest_ns = 0
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
     def robot(self, name: str) -> RobotScene:
         if name not in self._robots:
-            self._robots[name] = RobotScene(self._log, name, colours_of(len(self._robots)), self._voxel_m)
+            colours, most = colours_of(len(self._robots)), self._share if self._most_points else None
+            self._robots[name] = RobotScene(self._log, name, colours, self._voxel_m, most)
         return self._robots[name]
+
+    def _share(self) -> int:
+        """Of the points, each robot's."""
+        return self._most_points // len(self._robots)
 
     @property
     def positions_map(self) -> NDArray[np.float64]:

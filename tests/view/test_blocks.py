@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitslam import se3
-from splitslam.view.keyframe_blocks import BLOCK
+from splitslam.view.keyframe_blocks import BLOCK, NEWEST
 from splitslam.view.robot_scene import RobotScene
 from splitslam.view.scene import Scene
 from tests.tolerances import VIEW_M
@@ -50,9 +50,10 @@ def clouds_logged(logged: Logged) -> int:
 def test_every_point_is_there_once_and_the_entities_are_few() -> None:
     logged, _ = drive()
     assert same(logged.map_of("r"), clouds_map())
-    assert len(logged.paths("world/r/map/")) == BLOCK + 3
+    assert len(logged.paths("world/r/map/")) == NEWEST + 3
     assert len(logged.paths("world/r/trajectory/")) == 3 + 1 + 1
-    assert clouds_logged(logged) == KEYFRAMES + 3 + 3 * BLOCK, "each keyframe, each block, and what is emptied"
+    folds = 3 * BLOCK // NEWEST
+    assert clouds_logged(logged) == KEYFRAMES + folds * (1 + NEWEST), "each keyframe; each fold, and what it empties"
 
 
 def test_a_correction_of_the_whole_map_logs_transforms_alone() -> None:
@@ -73,7 +74,7 @@ def test_a_block_that_is_bent_is_drawn_anew_and_the_others_are_not() -> None:
     for k in range(BLOCK + BLOCK // 2, 2 * BLOCK):
         poses[k] = se3.compose(POSES[k][:3, :3], POSES[k][:3, 3] + [0.3, 0.0, 0.0])
     robot.move(stamp(KEYFRAMES), {k: poses[k] for k in range(KEYFRAMES)})
-    assert [len(logged.of(f"world/r/map/{n}", "Points3D")) for n in range(3)] == [1, 2, 1]
+    assert [len(logged.of(f"world/r/map/{n}", "Points3D")) for n in range(3)] == [4, 5, 4], "folded four times each"
     assert same(logged.map_of("r"), clouds_map(poses))
 
 
@@ -85,7 +86,7 @@ def test_what_the_eye_does_not_see_is_not_drawn_anew_however_often_it_comes() ->
         for k in range(1, BLOCK, 2):
             poses[k] = se3.compose(poses[k][:3, :3], poses[k][:3, 3] + [0.005, 0.0, 0.0])
         robot.move(stamp(KEYFRAMES + step), {k: poses[k] for k in range(BLOCK)})
-    assert 2 <= len(logged.of("world/r/map/0", "Points3D")) <= 6
+    assert 4 + 2 <= len(logged.of("world/r/map/0", "Points3D")) <= 4 + 6
     assert same(logged.map_of("r"), clouds_map(poses), off_m=0.05)
 
 
@@ -107,3 +108,19 @@ def test_stored_keyframes_come_block_by_block_and_a_late_one_takes_its_place_in_
     first = logged.of("world/r/map/0", "Points3D")
     assert len(points(first[-1])) == BLOCK * 20
     assert first[-1].stamp_ns == max(entry.stamp_ns or 0 for entry in first)
+
+
+def test_a_map_has_no_more_points_than_are_wanted_and_robots_share_them() -> None:
+    logged, most = Logged(), 900
+    scene = Scene(logged, voxel_m=0.1, most_points=most)  # type: ignore[arg-type]
+    robots = [scene.robot("r"), scene.robot("s")]
+    for k, T in enumerate(POSES):
+        for name, robot in zip("rs", robots, strict=True):
+            robot.keyframe(stamp(k), k, T, CLOUDS[k])
+            assert len(logged.map_of(name)) <= most // 2
+    drawn = logged.map_of("r")
+    assert len(drawn) > most // 2 / 4, "and not far fewer"
+    off_m = np.linalg.norm(drawn[:, None] - clouds_map()[None], axis=2).min(axis=1)
+    assert off_m.max() < VIEW_M, "each of them is one of the map's"
+    ahead_m = drawn @ np.array([1.0, 0.0, 0.0])
+    assert ahead_m.min() < 2.0 < 45.0 < ahead_m.max(), "from all of the drive"
