@@ -30,6 +30,9 @@ CODEC_FIXED_BYTES = 150
 # Bits a point of a dense VLP-16 frame, everything included (seen: 9.1 on yard1; Morton order + zstd: about 25).
 CODEC_DENSE_VLP16_BITS = 10.0
 
+# A point of a map in float32, 150 m from its origin: twice the spacing of its values there.
+FLOAT32_MAP_M = 3.2e-5
+
 # SE(3) maps in float64: exp and log undo each other to rounding.
 SE3_ROUND_TRIP_RAD = 1e-9
 SE3_ROUND_TRIP_M = 1e-9
