@@ -4,8 +4,8 @@
          00000042.new     of the dense frame 42, which may or may not have become a keyframe
          00000043.key     of a keyframe: the map service said so
 
-A file is written beside its name and renamed, so a killed agent leaves whole files. What goes for want of room is the
-oldest; nothing goes without being counted.
+A file is written beside its name and renamed, so a killed agent leaves whole files; after a power cut the checksum tells.
+What goes for want of room is the oldest; nothing goes without being counted.
 """
 
 from __future__ import annotations
@@ -52,7 +52,6 @@ class CloudShelf:
     def __init__(self, path: Path, max_bytes: int, own: pb.UploadOpen) -> None:
         """own: of the run that goes on now; what runs before have left is taken over."""
         self.dropped: Counter[str] = Counter()
-        self.kept = 0  # clouds written since the start
         self._path, self._max_bytes, self._own = path, max_bytes, own
         self._lock = threading.Lock()
         self._files: dict[tuple[str, int], Kept] = {}  # by run and seq; the order in which they were written
@@ -71,29 +70,28 @@ class CloudShelf:
 
     # --- what the run brings ----------------------------------------------------------------------------------
 
-    def put(self, seq: int, cloud: bytes, is_key: bool) -> None:
-        """Keeps the cloud of the own run's frame `seq`."""
+    def put(self, seq: int, cloud: bytes, *, is_key: bool = False) -> None:
+        """Keeps the cloud of the own run's frame `seq`, of which the service has not said yet what it is."""
         file = Kept(self._own.run_id, seq, len(cloud), is_key)
         with self._lock:
-            while self._bytes + len(cloud) > self._max_bytes and self._files:
-                self._drop(next(iter(self._files.values())), "full")
             if len(cloud) > self._max_bytes:
                 self.dropped["full"] += 1
-            elif self._write(file, cloud):
+                return
+            while self._bytes + len(cloud) > self._max_bytes:
+                self._drop(next(iter(self._files.values())), "full")
+            if self._write(file, cloud):
                 self._add(file)
-                self.kept += 1
 
-    def answered(self, seq: int, is_key: bool) -> bool:
-        """The service has said what frame `seq` of the own run is; False: its cloud is not here."""
+    def answered(self, seq: int, is_key: bool) -> None:
+        """The service has said what frame `seq` of the own run is; its cloud need not be here."""
         with self._lock:
             file = self._files.get((self._own.run_id, seq))
             if file is None:
-                return False
+                return
             if not is_key:
                 self._remove(file)
             elif not file.is_key:
                 self._mark(file)
-            return True
 
     def lose(self, reason: str) -> None:
         """One was not even made."""
@@ -174,8 +172,8 @@ class CloudShelf:
         folder = self._path / file.run_id
         part = folder / f"{file.seq:08d}.part"
         try:
-            if not folder.is_dir():
-                folder.mkdir(parents=True)
+            if not (folder / "open").exists():
+                folder.mkdir(parents=True, exist_ok=True)
                 (folder / "open").write_bytes(self._own.SerializeToString())
             part.write_bytes(cloud)
             part.replace(folder / file.name)

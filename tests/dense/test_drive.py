@@ -19,6 +19,7 @@ import pytest
 from map_service.catalog import Catalog, StoredKeyframe
 from map_service.export import map_pieces
 from map_service.store import Store
+from splitslam import se3
 from splitslam.ply import read_ply
 from splitslam.sim import DEMO
 from splitslam.sim.recorder import SimRecording, simulate
@@ -144,7 +145,8 @@ def test_an_export_has_five_times_the_points_and_they_lie_on_the_same_surfaces(
 def off_m(keyframes: list[StoredKeyframe], made: SimRecording) -> np.ndarray:
     """How far points of the map are off the surface that their ray meets in the made world, across it, m."""
     truth = read_tum(made.truth_path)
-    T_world = {int(ns): T for ns, T in zip(truth.stamps_ns, truth.matrices(), strict=True)}
+    poses = zip(truth.stamps_ns, truth.positions_m, truth.quats_xyzw, strict=True)
+    T_world = {int(stamp_ns): se3.from_quat(position_m, quat) for stamp_ns, position_m, quat in poses}
     T_world_map = T_world[keyframes[0].stamp_ns] @ np.linalg.inv(keyframes[0].T_map_lidar)
     off = []
     for keyframe, piece in zip(keyframes, map_pieces(keyframes, 0.0), strict=True):

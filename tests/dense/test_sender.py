@@ -46,8 +46,8 @@ def filled(folder: Path, own: pb.UploadOpen, points: int = 300) -> CloudShelf:
     """With the clouds of three keyframes, and of one scan of which the agent never heard what it was."""
     before = CloudShelf(folder, 10**7, own)
     for seq in KEYFRAMES:
-        before.put(seq, cloud(seq, points), True)
-    before.put(8, cloud(8), False)
+        before.put(seq, cloud(seq, points), is_key=True)
+    before.put(8, cloud(8))
     return CloudShelf(folder, 10**7, own)
 
 

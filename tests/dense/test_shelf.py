@@ -25,11 +25,10 @@ def seqs(shelf: CloudShelf) -> list[int]:
 def test_only_what_the_service_has_called_a_keyframe_is_due(tmp_path: Path):
     here = shelf(tmp_path)
     for seq in (1, 2, 3):
-        here.put(seq, bytes(10), False)
+        here.put(seq, bytes(10))
     assert seqs(here) == []
-    assert here.answered(2, True)
-    assert here.answered(3, False)
-    assert not here.answered(4, True)
+    for seq, is_key in ((2, True), (3, False), (4, True)):
+        here.answered(seq, is_key)
     assert seqs(here) == [2]
     assert (here.waiting, here.bytes, dict(here.dropped)) == (2, 20, {})
 
@@ -37,20 +36,18 @@ def test_only_what_the_service_has_called_a_keyframe_is_due(tmp_path: Path):
 def test_beyond_its_room_the_oldest_go_and_are_counted(tmp_path: Path):
     here = shelf(tmp_path, max_bytes=100)
     for seq in range(1, 8):
-        here.put(seq, bytes(30), True)
-    here.put(8, bytes(101), True)
-    assert seqs(here) == []
-    assert here.dropped == {"full": 8}
-    here.put(9, bytes(30), True)
-    assert seqs(here) == [9]
-    assert sum(file.stat().st_size for file in (tmp_path / "dense").glob("*/*.key")) == 30
+        here.put(seq, bytes(30), is_key=True)
+    here.put(8, bytes(101), is_key=True)
+    assert seqs(here) == [5, 6, 7]
+    assert here.dropped == {"full": 5}
+    assert sum(file.stat().st_size for file in (tmp_path / "dense").glob("*/*.key")) == here.bytes == 90
 
 
 def test_a_killed_agents_clouds_are_due_at_the_next_start_known_or_not(tmp_path: Path):
     own = opening()
     before = shelf(tmp_path, own)
-    before.put(1, b"one", True)
-    before.put(2, b"two", False)
+    before.put(1, b"one", is_key=True)
+    before.put(2, b"two")
     (tmp_path / "dense" / own.run_id / "00000003.part").write_bytes(b"thr")  # it was about to write this
     again = shelf(tmp_path, own)
     assert [(kept.seq, kept.is_key, kept.inherited) for kept in again.due(NEVER_S)] == [(1, True, True), (2, False, True)]
@@ -60,9 +57,9 @@ def test_a_killed_agents_clouds_are_due_at_the_next_start_known_or_not(tmp_path:
 
 def test_runs_of_before_come_after_the_own_one_and_leave_nothing_behind(tmp_path: Path):
     old, own = opening(), opening()
-    shelf(tmp_path, old).put(5, b"old", True)
+    shelf(tmp_path, old).put(5, b"old", is_key=True)
     here = shelf(tmp_path, own)
-    here.put(1, b"own", True)
+    here.put(1, b"own", is_key=True)
     (kept,) = here.due(NEVER_S)
     assert kept.run_id == own.run_id
     here.done(kept)
@@ -83,9 +80,9 @@ def test_a_disk_that_is_full_costs_counted_clouds_until_it_takes_them_again(
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "write_bytes", full)
-        here.put(1, b"one", True)
-        here.put(2, b"two", True)
-    here.put(3, b"three", True)
+        here.put(1, b"one", is_key=True)
+        here.put(2, b"two", is_key=True)
+    here.put(3, b"three", is_key=True)
     assert here.dropped == {"disk": 2}
     assert seqs(here) == [3]
     assert here.opening(here.due(NEVER_S)[0].run_id) is not None
@@ -93,7 +90,7 @@ def test_a_disk_that_is_full_costs_counted_clouds_until_it_takes_them_again(
 
 def test_a_file_that_is_gone_is_counted(tmp_path: Path):
     here = shelf(tmp_path)
-    here.put(1, b"one", True)
+    here.put(1, b"one", is_key=True)
     (kept,) = here.due(NEVER_S)
     next((tmp_path / "dense").glob("*/*.key")).unlink()
     assert here.read(kept) is None
