@@ -48,6 +48,7 @@ class Pacer:
     def __init__(self) -> None:
         self._all, self._live, self._spare = _Window(), _Window(), _Window()
         self._peaks: deque[tuple[float, int]] = deque()  # live windows that none after them has reached
+        self._live_since_s = float("inf")
 
     def wait_s(self, now_s: float, size: int, limit_kbps: float | None) -> float:
         """How long a live message of `size` bytes has to wait; 0: it may go. One alone may always go."""
@@ -64,6 +65,8 @@ class Pacer:
         """
         if limit_kbps is None:
             return 0.0
+        if live and now_s < self._live_since_s + _WINDOW_S:  # what they need is not known yet
+            return _WINDOW_S
         while self._peaks and self._peaks[0][0] <= now_s - _PEAK_S:
             self._peaks.popleft()
         peak = self._peaks[0][1] if self._peaks and live else self._live.at(now_s)
@@ -76,6 +79,7 @@ class Pacer:
         if not live:
             self._spare.add(now_s, size)
             return
+        self._live_since_s = min(self._live_since_s, now_s)
         window = self._live.add(now_s, size)
         while self._peaks and self._peaks[-1][1] <= window:
             self._peaks.pop()

@@ -15,7 +15,6 @@ from map_service.store import Store
 from splitslam.wire import dense_pb2 as pb
 
 
-
 class DenseStore:
     """Every method may be called from any thread and raises StoreError."""
 
@@ -56,9 +55,7 @@ class DenseStore:
                 self._quotas.check(site_id)
             except RefusedError as refusal:
                 detail, retry_after_ms = refusal.message.detail, refusal.message.retry_after_ms
-                return pb.UploadResponse(
-                    verdict=pb.CLOUD_VERDICT_NO_ROOM, detail=detail, retry_after_ms=retry_after_ms
-                )
+                return pb.UploadResponse(verdict=pb.CLOUD_VERDICT_NO_ROOM, detail=detail, retry_after_ms=retry_after_ms)
         return pb.UploadResponse(verdict=pb.CLOUD_VERDICT_WANTED)
 
 

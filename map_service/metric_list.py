@@ -236,7 +236,7 @@ UNDURABLE = gauge(
 )
 DENSE_CLOUDS = counter(
     "splitslam_map_dense_clouds",
-    "Whole scans of keyframes that robots have offered, by what became of them; stored: also those that were stored before",
+    "Whole scans of keyframes that robots have offered, by what became of them; stored: also those that it had already",
     "refused: the log says what is wrong with them. no_room: the site's quota. not_yet: commits that are late.",
     Label("verdict", DENSE_VERDICTS),
 )

@@ -25,7 +25,7 @@ FRAMES = ("auto", "map", "utm")
 class ExportOptions:
     """One export. session: ROBOT/RUN, or the folder of a run. out None: the format's own name, here.
 
-    frame: of clouds; auto: utm when GNSS has told where the map lies. dense: whole scans of keyframes where there are any.
+    frame: of clouds; auto: utm when GNSS has told where the map lies. dense: whole scans where there are any.
     """
 
     session: str

@@ -10,7 +10,6 @@ import pytest
 from edge_agent.clouds import keeper as module
 from edge_agent.clouds.keeper import CloudKeeper
 from edge_agent.clouds.shelf import CloudShelf
-from splitslam import dense_cloud
 from splitslam.codec import STEP_M
 from tests.dense.made import opening, whole_scan
 

@@ -50,7 +50,10 @@ def test_a_killed_agents_clouds_are_due_at_the_next_start_known_or_not(tmp_path:
     before.put(2, b"two")
     (tmp_path / "dense" / own.run_id / "00000003.part").write_bytes(b"thr")  # it was about to write this
     again = shelf(tmp_path, own)
-    assert [(kept.seq, kept.is_key, kept.inherited) for kept in again.due(NEVER_S)] == [(1, True, True), (2, False, True)]
+    assert [(kept.seq, kept.is_key, kept.inherited) for kept in again.due(NEVER_S)] == [
+        (1, True, True),
+        (2, False, True),
+    ]
     assert [again.read(kept) for kept in again.due(NEVER_S)] == [b"one", b"two"]
     assert not list((tmp_path / "dense").glob("*/*.part"))
 

@@ -32,7 +32,9 @@ def test_a_message_larger_than_the_limit_goes_alone():
     assert 4.8 < pacer.wait_s(0.1, 100, 10) < 5.0
 
 
-def sent_beside(live: list[tuple[float, int]], limit_kbps: float, until_s: float) -> tuple[list[tuple[float, int]], Pacer]:
+def sent_beside(
+    live: list[tuple[float, int]], limit_kbps: float, until_s: float
+) -> tuple[list[tuple[float, int]], Pacer]:
     """What goes besides `live` messages (time, bytes) when there is always something of 1,000 bytes to send."""
     pacer, spare = Pacer(), []
     now_s, todo = 0.0, list(live)

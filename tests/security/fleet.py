@@ -20,12 +20,11 @@ from splitslam.security.settings import ClientTls
 from splitslam.stack import EnvoyProxy, Replica
 from splitslam.stack.process import wait_until
 from splitslam.stack.stack import service_tls
-from splitslam.wire import dense_pb2, dense_pb2_grpc
+from splitslam.wire import dense_pb2, dense_pb2_grpc, view_pb2, view_pb2_grpc
 from splitslam.wire import pose_pb2 as pose_pb
 from splitslam.wire import pose_pb2_grpc as pose_rpc
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
-from splitslam.wire import view_pb2, view_pb2_grpc
 from tests.conftest import ROOT
 from tests.map_service.harness import frame, hello, new_run
 from tests.stack.conftest import FAKE
