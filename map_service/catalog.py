@@ -30,8 +30,7 @@ class Deleted:
 class StoredKeyframe:
     """One keyframe of the map. T_map_lidar: (4, 4) as corrected last; cloud: map_service.cloud's encoding.
 
-    stamp_ns: reference time of its scan. dense: its whole scan (splitslam.dense_cloud); None: not asked for, or the robot
-    has not sent it.
+    stamp_ns: reference time of its scan. dense: its whole scan (splitslam.dense_cloud), None where there is none.
     """
 
     index: int
@@ -114,11 +113,11 @@ class Catalog:
         if dense:
             query = query.outerjoin(d, (k.c.session == d.c.session) & (k.c.keyframe == d.c.keyframe))
         query = query.where(k.c.session == key, k.c.keyframe >= first).order_by(k.c.keyframe)
-        with self._store.reading() as connection:
-            # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through
-            with connection.execute(query.execution_options(yield_per=16)) as rows:
-                for index, stamp_ns, pose, cloud, whole in rows:
-                    yield StoredKeyframe(index, stamp_ns, unpack_pose(pose), cloud, whole)
+        # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through
+        query = query.execution_options(yield_per=16)
+        with self._store.reading() as connection, connection.execute(query) as rows:
+            for index, stamp_ns, pose, cloud, whole in rows:
+                yield StoredKeyframe(index, stamp_ns, unpack_pose(pose), cloud, whole)
 
     def graph(self, key: int) -> StoredGraph:
         """A session's factor graph: where its keyframes are, every factor, and the small state of its pipeline."""

@@ -4,8 +4,8 @@
          00000042.new     of the dense frame 42, which may or may not have become a keyframe
          00000043.key     of a keyframe: the map service said so
 
-A file is written beside its name and renamed, so a killed agent leaves whole files; after a power cut the checksum tells.
-What goes for want of room is the oldest; nothing goes without being counted.
+A file is written beside its name and renamed, so a killed agent leaves whole files; after a power cut the checksum
+tells. What goes for want of room is the oldest; nothing goes without being counted.
 """
 
 from __future__ import annotations

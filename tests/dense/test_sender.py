@@ -52,9 +52,8 @@ def filled(folder: Path, own: pb.UploadOpen, points: int = 300) -> CloudShelf:
 
 
 def test_every_keyframe_goes_up_and_leaves_the_disk_and_the_service_says_which_are_none(
-    tmp_path: Path, start_service: Callable[..., Service], connect: Connect, run_id: str, session_id: str
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
 ) -> None:
-    service = start_service()
     drive(service, connect, 12, bye=True)
     shelf = filled(tmp_path / "dense", opening(run_id))
     with sending(shelf, service, OpenLink()) as sender:
@@ -70,9 +69,8 @@ def test_every_keyframe_goes_up_and_leaves_the_disk_and_the_service_says_which_a
 
 
 def test_nothing_is_sent_while_the_link_has_better_things_to_do_or_the_service_does_not_know_it(
-    tmp_path: Path, start_service: Callable[..., Service], connect: Connect, run_id: str
+    tmp_path: Path, service: Service, connect: Connect, run_id: str
 ) -> None:
-    service = start_service()
     drive(service, connect, 12, bye=True)
     shelf, link = filled(tmp_path / "dense", opening(run_id)), OpenLink()
     link.takes_dense = False
@@ -88,13 +86,12 @@ def test_nothing_is_sent_while_the_link_has_better_things_to_do_or_the_service_d
 @pytest.mark.parametrize(("limit_kbps", "largest"), [(None, 8192), (100.0, 3125), (1.0, 1024)])
 def test_a_piece_takes_a_quarter_of_a_second_of_the_limit_at_most(
     tmp_path: Path,
-    start_service: Callable[..., Service],
+    service: Service,
     connect: Connect,
     run_id: str,
     limit_kbps: float | None,
     largest: int,
 ) -> None:
-    service = start_service()
     drive(service, connect, 12, bye=True)
     shelf, link = filled(tmp_path / "dense", opening(run_id), points=9000), OpenLink(limit_kbps)
     with sending(shelf, service, link):
@@ -121,9 +118,8 @@ def test_a_service_that_is_killed_half_way_gets_every_scan_once(
 
 
 def test_the_scans_of_a_session_that_was_deleted_are_given_up_and_counted(
-    tmp_path: Path, start_service: Callable[..., Service], connect: Connect, run_id: str, session_id: str
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
 ) -> None:
-    service = start_service()
     drive(service, connect, 12, bye=True)
     operator = Operator(service.address)
     operator.stub.Delete(session_pb2.DeleteRequest(session_id=session_id))
@@ -135,9 +131,8 @@ def test_the_scans_of_a_session_that_was_deleted_are_given_up_and_counted(
 
 
 def test_a_cloud_that_was_damaged_on_disk_is_counted_and_not_sent(
-    tmp_path: Path, start_service: Callable[..., Service], connect: Connect, run_id: str, session_id: str
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
 ) -> None:
-    service = start_service()
     drive(service, connect, 12, bye=True)
     shelf = filled(tmp_path / "dense", opening(run_id))
     file = tmp_path / "dense" / run_id / "00000006.key"
