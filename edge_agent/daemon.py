@@ -14,7 +14,7 @@ from typing import Any
 
 from edge_agent.about import write_about
 from edge_agent.check import LiveCheck
-from edge_agent.clouds.dense import open_clouds
+from edge_agent.clouds.dense import NEVER, open_clouds
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
 from edge_agent.going_on import StartAfter, UnseenMotion
@@ -350,7 +350,7 @@ class _Run:
             **tally.times(),
             **stage_summaries(self._metrics),
             **tally.link(self._uplink.tcp_bytes(), recording_s, counts, self._pipeline.rate, dense),
-            "dense": self._clouds.report() if self._clouds else None,
+            "dense": self._clouds.report() if self._clouds else NEVER,
             "jumps": jumps,
             "wheels": self._imu.wheels_report,
             "outages": {**asdict(self._outages.report()), "odometry_ms": self._metrics.odometry.summary_ms()},

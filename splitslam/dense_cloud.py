@@ -8,6 +8,7 @@ travel along, so that nothing else is needed to read it. `check` looks at the la
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -128,8 +129,11 @@ def _layout(data: bytes) -> tuple[Head, NDArray[np.float32], list[bytes]]:
     lengths = struct.unpack_from(f"<{parts}I", data, lengths_at)
     if offset + sum(lengths) != len(data) - _CRC.size:
         raise DataError("corrupt", "dense cloud: its parts are not as long as it says")
+    beams = np.frombuffer(data, "<f4", rings, _HEAD.size)
+    if not np.all(np.abs(beams) <= math.pi / 2):  # also false for NaN
+        raise DataError("corrupt", "dense cloud: a beam beyond +-pi/2")
     payloads = []
     for length in lengths:
         payloads.append(data[offset : offset + length])
         offset += length
-    return Head(seq, stamp_ns, points), np.frombuffer(data, "<f4", rings, _HEAD.size), payloads
+    return Head(seq, stamp_ns, points), beams, payloads

@@ -23,6 +23,7 @@ from splitslam.wire import session_pb2 as pb
 FOLDER = "dense"  # in the spool's directory, whose lock keeps other agents out
 _PATIENCE_S = 30.0  # at the end of a run, without an answer
 _TICK_S = 0.2
+NEVER: dict[str, Any] = {"sent": 0, "waiting": 0, "dropped": {}, "bytes": 0}  # `dense` of report.json without any
 
 
 class DenseClouds:

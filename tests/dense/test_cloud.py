@@ -71,6 +71,7 @@ def test_each_flipped_bit_and_each_cut_is_refused_by_who_stores_it():
         (6, struct.pack("<H", 60_000), "shorter than its head says"),
         (8, struct.pack("<I", 1 << 20), "not a dense cloud of version 1"),
         (6, struct.pack("<H", 2), "not as long as it says"),
+        (28, struct.pack("<f", float("nan")), "a beam beyond"),
     ],
 )
 def test_a_layout_that_is_none_is_refused_though_its_checksum_is_right(at: int, value: bytes, why: str):

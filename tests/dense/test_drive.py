@@ -117,7 +117,7 @@ def test_the_live_stream_is_the_same_to_the_byte_and_every_keyframe_has_its_whol
     assert clouds < idle["uplink"]["dense_bytes"] < 1.1 * clouds
     assert idle["uplink"]["bytes"] == idle["uplink"]["live_bytes"] + idle["uplink"]["dense_bytes"]
     assert not list((rack.folder / "state-idle" / "spool" / "dense").glob("*/*.*"))
-    assert never["dense"] is None
+    assert never["dense"] == {"sent": 0, "waiting": 0, "dropped": {}, "bytes": 0}
     assert all(keyframe.dense is None for keyframe in rack.keyframes(never["session_id"]))
     print(f"{len(keyframes)} keyframes, {len(dense)} dense, {clouds / len(dense):.0f} bytes each, {idle['uplink']}")
 
