@@ -2,25 +2,10 @@
 
 from __future__ import annotations
 
-import socket
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-import pytest
-
-from edge_agent.config import UplinkConfig
 from edge_agent.dialogue import Dialogue
 from edge_agent.metrics import EdgeMetrics
-from edge_agent.uplink import Uplink
-from edge_agent.wire import Answer
-from splitslam.errors import InputError
-from splitslam.metrics import Family
-from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
-from tests.edge_agent.fake_service import FakeService, Fault
-from tests.edge_agent.relay import CountingRelay
 from tests.edge_agent.test_uplink import FAST, frame
 
 

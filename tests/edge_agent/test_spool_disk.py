@@ -5,23 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import signal
 import subprocess
-import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from edge_agent.spool import Spool
 from edge_agent.spool import spool as spool_module
-from splitslam.wire import session_pb2 as pb
-from tests.logs.said import said
 from tests.edge_agent.test_spool import ROOM, frame, kept
+from tests.logs.said import said
 
 
 @pytest.fixture

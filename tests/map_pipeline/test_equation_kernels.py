@@ -11,7 +11,7 @@ from splitslam.registration import _equation_kernels as equations
 from splitslam.registration import _kernels as kernels
 from splitslam.registration.local_map import VoxelMap
 from splitslam.registration.settings import VoxelSettings
-from tests.map_pipeline.naive import normal_equations, plane_fit, room
+from tests.map_pipeline.naive import normal_equations, room
 from tests.map_pipeline.test_local_map import PLANES
 
 

@@ -3,13 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitslam import se3
-from splitslam.registration import _doubt_kernels as doubts
-from splitslam.registration import _equation_kernels as equations
 from splitslam.registration import _kernels as kernels
 from splitslam.registration.local_map import VoxelMap
 from splitslam.registration.settings import VoxelSettings
-from tests.map_pipeline.naive import normal_equations, plane_fit, room
+from tests.map_pipeline.naive import plane_fit, room
 
 PLANES = VoxelSettings(voxel_m=0.5, levels=3)
 

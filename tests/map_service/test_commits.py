@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from pathlib import Path
-
-import numpy as np
 import pytest
-from sqlalchemy import event, select, update
 
-from map_service import schema
-from map_service.catalog import Catalog
 from map_service.commits import Committer
 from map_service.config import CommitConfig
 from map_service.rows import SessionCommit
-from map_service.store import FencedError, FinishedError, Store, StoreError
+from map_service.store import StoreError
 from map_service.tally import Tally
-from map_service.types import KeyframeRecord
-from splitslam.errors import InputError
-from tests.map_service.entries import OPENING, entry, pose, with_move
+from tests.map_service.entries import entry
 
 
 class FailingStore:

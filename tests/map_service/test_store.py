@@ -12,11 +12,7 @@ from sqlalchemy import event, select, update
 
 from map_service import schema
 from map_service.catalog import Catalog
-from map_service.commits import Committer
-from map_service.config import CommitConfig
-from map_service.rows import SessionCommit
 from map_service.store import FencedError, FinishedError, Store, StoreError
-from map_service.tally import Tally
 from map_service.types import KeyframeRecord
 from splitslam.errors import InputError
 from tests.map_service.entries import OPENING, entry, pose, with_move

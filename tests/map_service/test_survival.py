@@ -13,13 +13,12 @@ from pathlib import Path
 
 import grpc
 import pytest
-from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from edge_agent.wire import answer
 from splitslam.wire import session_pb2 as pb
 from tests.conftest import ROOT
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, hello, new_run, running
+from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, running
 
 Connect = Callable[..., Robot7]
 GONE_S = 5.0

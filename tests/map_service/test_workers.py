@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
-import grpc
-import pytest
-from grpc_health.v1 import health_pb2, health_pb2_grpc
-
-from edge_agent.wire import answer
 from splitslam.wire import session_pb2 as pb
-from tests.conftest import ROOT
-from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, hello, new_run, running
+from tests.map_service.fakes import payload
+from tests.map_service.harness import Robot7, Service, frame, hello, new_run
 from tests.map_service.test_survival import Connect
 
 

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Literal
 
 import numpy as np
 import pytest
 
-from edge_agent.ros import messages
 from edge_agent.ros.settings import Ros2Settings, RosSettings
 from edge_agent.ros.source import RosSource
-from edge_agent.sources import open_recording
-from edge_agent.sources.source import Event, StoppedError
+from edge_agent.sources.source import StoppedError
 from splitslam import se3
 from splitslam.errors import InputError
 from splitslam.robot import load_robot, robot_from_yaml
-from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
-from tests.ros.fake_graph import FakeGraph
+from splitslam.scan import GnssFix
+from tests.ros.test_ros_source import CLOUDS, EDGES, FIXES, PLACED, SAMPLES, Robot, events, source
 from tests.sources import made_bags as made
 from tests.sources.robots import RIGID, robot
-from tests.ros.test_ros_source import CLOUDS, EDGES, FIXES, PLACED, Robot, SAMPLES, events, source
 
 pytestmark = pytest.mark.usefixtures("impatient")
 

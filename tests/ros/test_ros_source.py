@@ -13,14 +13,13 @@ from edge_agent.ros import messages
 from edge_agent.ros.settings import Ros2Settings, RosSettings
 from edge_agent.ros.source import RosSource
 from edge_agent.sources import open_recording
-from edge_agent.sources.source import Event, StoppedError
+from edge_agent.sources.source import Event
 from splitslam import se3
-from splitslam.errors import InputError
-from splitslam.robot import load_robot, robot_from_yaml
+from splitslam.robot import robot_from_yaml
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 from tests.ros.fake_graph import FakeGraph
 from tests.sources import made_bags as made
-from tests.sources.robots import RIGID, robot
+from tests.sources.robots import RIGID
 
 CLOUDS, SAMPLES, FIXES, WHEELS = "/points_raw", "/imu_raw", "/gps/fix", "/wheel/odom"
 TYPES = {CLOUDS: made.CLOUD, SAMPLES: made.IMU, FIXES: made.FIX, WHEELS: made.ODOMETRY}
