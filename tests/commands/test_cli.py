@@ -67,7 +67,7 @@ def test_bad_input_is_one_line_on_stderr_and_exit_code_2(arguments: list[str], e
 
 
 def test_the_process_says_it_too():
-    assert finished("evil") == (2, "", "splitslam: No such command 'evil' (see `splitslam --help`)\n")
+    assert finished("evil") == typed("splitslam", "evil")
 
 
 def test_help_is_there_before_numba_and_gtsam_are():
