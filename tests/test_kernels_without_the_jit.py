@@ -11,7 +11,8 @@ from tests.conftest import ROOT
 
 # A kernel's own tests import the kernel module itself.
 IMPORTS_KERNELS = re.compile(r"^\s*(?:from|import) (?:.*|.*\([^)]*)\b_\w*kernels\b", re.MULTILINE)
-WHOLE_DRIVES = {"tests/map_pipeline/test_old_ground_again.py"}  # names a kernel's columns; four minutes without the JIT
+# These name columns of a kernel, and run whole pipelines: minutes without the JIT, and not what it is about.
+WHOLE_DRIVES = {"tests/map_pipeline/test_old_ground_again.py", "tests/view/test_seen.py"}
 MODULES = sorted(
     name
     for path in (ROOT / "tests").rglob("test_*.py")

@@ -17,7 +17,7 @@ def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
 
 def test_every_voxel_of_every_level_holds_the_fit_of_exactly_its_points():
     rng = np.random.default_rng(1)
-    points, _ = room(rng, 4000, 0.02)
+    points, _ = room(rng, 1600, 0.02)
     voxels = VoxelMap(PLANES, kernels.PLANE)
     for part in np.array_split(points, 5):  # incremental insertion must not differ from one go
         voxels.insert(part, 0)
@@ -129,9 +129,9 @@ def voxels_of(voxels: VoxelMap) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 def test_what_is_taken_out_leaves_the_map_as_if_it_had_never_been_in():
     rng = np.random.default_rng(12)
-    parts = [room(rng, 1500, 0.02)[0] + [0.4 * k, 0.0, 0.0] for k in range(5)]
+    parts = [room(rng, 500, 0.02)[0] + [0.4 * k, 0.0, 0.0] for k in range(5)]
     settings = VoxelSettings(levels=2)
-    voxels = VoxelMap(settings, kernels.PLANE, capacity=1 << 13)  # crowded: searches run into each other
+    voxels = VoxelMap(settings, kernels.PLANE, capacity=1 << 12)  # crowded: searches run into each other
     for k, part in enumerate(parts):
         voxels.insert(part, k)
     for part in parts[:3]:
