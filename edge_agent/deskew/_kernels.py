@@ -13,6 +13,7 @@ from numba import njit
 from splitslam._motion_kernels import rotation_from_vector, vector_between
 
 FASTMATH = {"contract", "nsz"}
+BLOCK = 256  # points
 UNIFORM = 2.1  # knots that are even need no more than twice the even segment: whole parts of an interval
 
 
@@ -146,31 +147,60 @@ def fill_table(offsets_ns, rotation, translation_m, breaks_ns, shift, scale, tab
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def deskew_points(points, t_offset_ns, shift, ticks, matrices, out):
+def lay_matrices(words, matrices):
+    """matrices (S, 8, 4): base, then slope, of the table's words (S, 28); columns of their 3x4, each with a 0 below."""
+    for s in range(len(words)):
+        for c in range(4):
+            matrices[s, c, 3] = matrices[s, 4 + c, 3] = 0.0
+            for r in range(3):
+                matrices[s, c, r], matrices[s, 4 + c, r] = words[s, 4 + 4 * r + c], words[s, 16 + 4 * r + c]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def deskew_points(points, t_offset_ns, shift, words, matrices, out):
     """out (N, 3) float32 = T_start_lidar(t) @ points (N, 3) float32, in steps of 2^-14 m.
 
-    ticks (S,) int32, matrices (S, 24) float64, base and slope: the table of fill_table. All values are whole numbers
-    below 2^53, so that float64 is exact and the processor's wide registers can be used. Times rise along a ring and
-    along a scan, so the segment is found by walking from the last one. Beyond 512 m a coordinate saturates.
+    words (S, 28) int32: the table of fill_table; matrices (S, 8, 4) float64 scratch. All values are whole numbers below
+    2^53, so that float64 is exact and the processor's wide registers can be used: for many points at a time where they
+    are alike, else for the rows of a point. Beyond 512 m a coordinate saturates.
     """
-    half = (1 << shift) >> 1
-    last = len(ticks) - 1
-    m = np.empty(12)
-    s = 0
-    for i in range(len(points)):
-        tick = min((max(np.int64(t_offset_ns[i]), 0) + half) >> shift, 0xFFFFFF)
-        while s > 0 and tick < ticks[s]:
-            s -= 1
-        while s < last and tick >= ticks[s + 1]:
-            s += 1
-        dt = np.float64(min(max(tick - ticks[s], 0), 0x1FFFF)) * 2.0**-20
-        for k in range(12):
-            m[k] = matrices[s, k] + np.floor(matrices[s, 12 + k] * dt + 0.5)
-        x, y, z = to_steps(points[i, 0]), to_steps(points[i, 1]), to_steps(points[i, 2])
-        for r in range(3):
-            total = m[4 * r] * x + m[4 * r + 1] * y + m[4 * r + 2] * z + m[4 * r + 3] * 2.0**21  # 2^-18 m to 2^-39
-            steps = np.floor(total * 2.0**-25 + 0.5)
-            out[i, r] = min(max(steps, -8388607.0), 8388607.0) * 2.0**-14
+    lay_matrices(words, matrices)
+    steps, moved = np.empty((3, BLOCK)), np.empty((BLOCK, 4), np.float32)
+    segment = 0
+    for start in range(0, len(points), BLOCK):
+        block, times_ns = points[start : start + BLOCK], t_offset_ns[start : start + BLOCK]
+        for k in range(len(block)):
+            steps[0, k], steps[1, k], steps[2, k] = to_steps(block[k, 0]), to_steps(block[k, 1]), to_steps(block[k, 2])
+        segment = move_block(steps, times_ns, shift, words, matrices, segment, moved)
+        goal = out[start : start + BLOCK]
+        for k in range(len(goal)):
+            goal[k, 0], goal[k, 1], goal[k, 2] = moved[k, 0], moved[k, 1], moved[k, 2]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def move_block(steps, t_offset_ns, shift, words, matrices, segment, moved):
+    """moved (BLOCK, 4) float32: up to BLOCK points, steps (3, BLOCK) of 2^-14 m, deskewed, m. Returns the last segment.
+
+    Times rise along a ring and along a scan, so the segment is found by walking from the last one.
+    """
+    half, last = (1 << shift) >> 1, len(words) - 1
+    for k in range(len(t_offset_ns)):
+        tick = min((max(np.int64(t_offset_ns[k]), 0) + half) >> shift, 0xFFFFFF)
+        while segment > 0 and tick < words[segment, 0]:
+            segment -= 1
+        while segment < last and tick >= words[segment + 1, 0]:
+            segment += 1
+        dt = np.float64(min(max(tick - words[segment, 0], 0), 0x1FFFF)) * 2.0**-20
+        x, y, z = steps[0, k], steps[1, k], steps[2, k]
+        m = matrices[segment]
+        for r in range(4):
+            total = (m[0, r] + np.floor(m[4, r] * dt + 0.5)) * x
+            total += (m[1, r] + np.floor(m[5, r] * dt + 0.5)) * y
+            total += (m[2, r] + np.floor(m[6, r] * dt + 0.5)) * z
+            total += (m[3, r] + np.floor(m[7, r] * dt + 0.5)) * 2.0**21  # 2^-18 m to 2^-39
+            whole = np.floor(total * 2.0**-25 + 0.5)
+            moved[k, r] = min(max(whole, -8388607.0), 8388607.0) * 2.0**-14
+    return segment
 
 
 @njit(cache=True, nogil=True)

@@ -138,30 +138,40 @@ def range_units(x, y, z):
 
     In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
     """
-    a, b, c = to_steps(x), to_steps(y), to_steps(z)
-    units = np.int64(math.sqrt(np.floor((a * a + b * b + c * c) / 256.0)))
-    return min(max(units, 1), 262143)
+    a = np.floor(abs(np.float64(x)) * 16384.0 + 0.5)
+    b = np.floor(abs(np.float64(y)) * 16384.0 + 0.5)
+    c = np.floor(abs(np.float64(z)) * 16384.0 + 0.5)
+    units = math.sqrt(np.floor((a * a + b * b + c * c) / 256.0))
+    return np.int32(min(max(units, 1.0), 262143.0))
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def gather(cells, points, out_points, out_range, out_column, source, ring_start):
     """Lays the cells' points out by ring, then column; ring_start (rings + 1,). Returns how many there are.
 
-    source (M,) intp is each point's index in the scan; out_range (M,) int32 its range, 1/1024 m.
+    Outputs have room for all cells. source int32 is each point's index in the scan; out_range int32 its range,
+    1/1024 m.
     """
     rings, columns = cells.shape
     n = 0
     for row in range(rings):
-        ring_start[row] = n
+        ring_start[row] = first = n
+        line = cells[row]
         for column in range(columns):
-            i = cells[row, column]
-            if i < 0:
-                continue
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            out_points[n, 0], out_points[n, 1], out_points[n, 2] = x, y, z
-            out_range[n] = range_units(x, y, z)
-            out_column[n] = column
-            source[n] = i
-            n += 1
+            source[n], out_column[n] = line[column], column  # to stay only if there is a point
+            n += line[column] >= 0
+        for k in range(first, n):
+            i = np.int64(source[k])
+            out_points[k, 0], out_points[k, 1], out_points[k, 2] = points[i, 0], points[i, 1], points[i, 2]
+        seen, ranges = out_points[first:n], out_range[first:n]
+        for k in range(len(seen)):
+            ranges[k] = range_units(seen[k, 0], seen[k, 1], seen[k, 2])
     ring_start[rings] = n
     return n
+
+
+@njit(cache=True, nogil=True)
+def pick(values, index, out):
+    """out[k] = values[index[k]]."""
+    for k in range(len(index)):
+        out[k] = values[index[k]]

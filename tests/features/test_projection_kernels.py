@@ -55,3 +55,9 @@ def test_a_range_is_rounded_the_same_way_whatever_the_point():
     points[:4] = [[0, 0, 0], [300, 0, 0], [2**-15, 0, 0], [255.99951, 0, 0]]
     np.testing.assert_array_equal([kernels.range_units(*p) for p in points], [naive.range_units(p) for p in points])
     assert [kernels.range_units(*p) for p in points[:2]] == [1, 2**18 - 1]
+
+
+def test_pick_takes_values_by_their_index():
+    out = np.empty(3, np.int32)
+    kernels.pick(np.array([5, 6, 7, 8], np.int32), np.array([3, 0, 0], np.int32), out)
+    assert out.tolist() == [8, 5, 5]
