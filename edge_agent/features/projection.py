@@ -15,7 +15,7 @@ from splitslam.scan import Scan
 class Image:
     """The scan's points by ring, then column; M points. The arrays are views that the next scan overwrites.
 
-    points_lidar: (M, 3) float32, m; as seen when they come from the projector. column: (M,) uint16. source: (M,) int32,
+    points_lidar: (M, 3) float32, m. column: (M,) uint16. source: (M,) int32,
     each point's index in the scan, where the rest of it is. ring_start: (rings + 1,) int32: ring r is [r]:[r + 1].
     duplicates: points dropped because their cell was taken; outside: because their ring does not exist.
     range_q: (M,) int32, as seen, 1/1024 m, 1 to 2^18 - 1; None where the marks were made along with the image.
@@ -52,13 +52,17 @@ class Projector:
         self._source = np.empty(cells, np.int32)
         self._ring_start = np.empty(rings + 1, np.int32)
         self._counts = np.zeros(2, np.int64)
+        self._ranges = np.empty(cells, np.int32)  # in the scan's order, of as many points as came at most
 
-    def project(self, scan: Scan) -> Image:
-        """The scan's image."""
-        kernels.project(scan.points_lidar, scan.ring, self._cells, self._counts)
+    def project(self, scan: Scan, points_lidar: NDArray[np.float32] | None = None) -> Image:
+        """The scan's image. points_lidar: (N, 3), where the scan's points are in it; None: as seen."""
+        if len(self._ranges) < len(scan):
+            self._ranges = np.empty(len(scan), np.int32)
+        kernels.project(scan.points_lidar, scan.ring, self._cells, self._ranges[: len(scan)], self._counts)
         n = kernels.gather(
             self._cells,
-            scan.points_lidar,
+            scan.points_lidar if points_lidar is None else points_lidar,
+            self._ranges,
             self._points,
             self._range,
             self._column,
