@@ -199,9 +199,9 @@ def together(times_ns, first_ns, end_ns):
 
 @njit(cache=True, nogil=True)
 def move_block(x, y, z, times_ns, shift, words, segment):
-    """x, y, z (N,) in steps of 2^-14 m become the moved points', m. segment: that of the points before; returns the last.
+    """x, y, z (N,) in steps of 2^-14 m become the moved points', m. Returns the last one's segment.
 
-    It is found by walking from there.
+    segment: that of the points before; from there the next one is found by walking.
     """
     first_ns, end_ns = span_of(words, segment, shift)
     i = 0

@@ -134,7 +134,7 @@ def project(points, ring, cells, ranges, counts):
 
 @njit(cache=True, nogil=True)
 def range_units(x, y, z, ranges):
-    """ranges (N,) int32: in 1/1024 m, rounded down, of coordinates (N,) that are first rounded to 2^-14 m; 1 to 2^18 - 1.
+    """ranges (N,) int32, 1 to 2^18 - 1: in 1/1024 m, rounded down, of coordinates (N,) first rounded to 2^-14 m.
 
     In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
     """

@@ -62,10 +62,7 @@ class Selector:
         fewer_corners, fewer_surfs = (round(share * wanted) for wanted in self._wanted)
         if not dense or share < 1.0:
             corners = self._sharpest(corners, fewer_corners)
-            if dense:
-                surfs = _spread(surfs, fewer_surfs)
-            else:
-                surfs = _facing_all_ways(image, surfs, found, fewer_surfs)
+            surfs = _spread(surfs, fewer_surfs) if dense else _facing_all_ways(image, surfs, found, fewer_surfs)
         return _taken(image, corners), _taken(image, surfs)
 
     def _sharpest(self, corners: Index, target: int) -> Index:

@@ -57,9 +57,7 @@ class LioSamFeatures:
         kernels.select_corners(
             marks.d, marks.marks, image.column, picked, image.ring_start, SETTINGS.sectors, corners_per_sector, rank
         )
-        count = thin_surfs(
-            image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._surfs
-        )
+        count = thin_surfs(image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._surfs)
         return np.flatnonzero(rank), self._surfs[:count].astype(np.intp)
 
 

@@ -11,7 +11,8 @@ from splitslam.codec._point_kernels import COLUMN
 
 FASTMATH = {"contract", "nsz"}
 BINS = 1024
-_TURNS = np.array([complex(math.cos(2.0 * math.pi * i / BINS), -math.sin(2.0 * math.pi * i / BINS)) for i in range(BINS // 2)])
+_ANGLES = [2.0 * math.pi * i / BINS for i in range(BINS // 2)]
+_TURNS = np.array([complex(math.cos(angle), -math.sin(angle)) for angle in _ANGLES])
 _REVERSED = np.array([int(f"{i:010b}"[::-1], 2) for i in range(BINS)])
 
 

@@ -26,7 +26,10 @@ class Family:
         self._known = tuple({values[i] for values in series} for i in range(len(metric.labels)))
 
     def of(self, *values: str) -> Any:
-        """The series with these label values: prometheus_client's, or Observed. KeyError for values that a closed label lacks."""
+        """The series with these label values: prometheus_client's, or Observed.
+
+        KeyError for values that a closed label lacks.
+        """
         found = self._series.get(values)
         return self._series[self._with_other(values)] if found is None else found
 

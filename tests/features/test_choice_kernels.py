@@ -117,7 +117,8 @@ def test_groups_share_alike_and_what_small_ones_lack_goes_to_the_others(target: 
 
 def test_features_are_taken_with_what_the_scan_says_of_them():
     rng = np.random.default_rng(2)
-    points, column, source = rng.normal(size=(20, 3)).astype(np.float32), np.arange(20, dtype=np.uint16), np.arange(19, -1, -1)
+    points, column = rng.normal(size=(20, 3)).astype(np.float32), np.arange(20, dtype=np.uint16)
+    source = np.arange(19, -1, -1)
     ring, times, intensity = (rng.integers(0, 99, 30).astype(kind) for kind in (np.uint8, np.int32, np.uint8))
     index = np.array([0, 3, 19], np.int32)
     taken = np.empty((3, 3), np.float32), *(np.empty(3, kind) for kind in (np.uint8, np.uint16, np.int32, np.uint8))

@@ -56,6 +56,7 @@ def test_a_range_is_rounded_the_same_way_whatever_the_point():
     points = (rng.normal(size=(2000, 3)) * 10 ** rng.uniform(-5, 2.6, (2000, 1))).astype(np.float32)
     points[:4] = [[0, 0, 0], [300, 0, 0], [2**-15, 0, 0], [255.99951, 0, 0]]
     found = np.empty(2000, np.int32)
-    kernels.range_units(*np.ascontiguousarray(points.T), found)
+    x, y, z = np.ascontiguousarray(points.T)
+    kernels.range_units(x, y, z, found)
     np.testing.assert_array_equal(found, [naive.range_units(p) for p in points])
     assert found[:2].tolist() == [1, 2**18 - 1]

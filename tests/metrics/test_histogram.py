@@ -16,7 +16,8 @@ def test_a_histogram_is_shown_as_prometheus_client_shows_its_own():
     ours, theirs = CollectorRegistry(), CollectorRegistry()
     family = Family(STAGES, ours)
     twin = Histogram(STAGES.name, STAGES.text, STAGES.label_names, buckets=STAGES.buckets, registry=theirs)
-    twin.labels("encode"), twin.labels("motion")
+    for stage in ("encode", "motion"):
+        twin.labels(stage)
     assert generate_latest(ours) == generate_latest(theirs)  # all series are there, with nothing in them
     for value in VALUES:
         family.observe(value, "motion")
