@@ -42,6 +42,17 @@ def test_a_walls_points_come_in_runs_of_a_voxel_that_corners_do_not_end():
     assert 40 < len(expected) < 60
 
 
+def test_a_corner_in_a_voxel_is_not_its_surf_however_near_to_the_centroid():
+    points = np.zeros((31, 3), np.float32)
+    points[:, 0] = np.linspace(0.01, 0.39, 31)  # one voxel
+    rank = np.zeros(31, np.uint8)
+    rank[[14, 15]] = 1, 2
+    kept = thinned(points, rank, np.array([0, 31], np.int32))
+    assert kept.tolist() == np.flatnonzero(naive.thin(points, rank, np.array([0, 31]), 0.4)).tolist()
+    assert len(kept) == 1
+    assert abs(int(kept[0]) - 14.5) < 2
+
+
 def test_rings_without_surfs_leave_none():
     ring_start = np.array([0, 0, 11, 12, 40], np.int32)  # none, too short for a window, one point, corners alone
     points = np.random.default_rng(1).normal(size=(40, 3)).astype(np.float32)

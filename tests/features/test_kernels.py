@@ -52,6 +52,7 @@ def test_occluded_points_and_parallel_beams_are_marked():
 def test_candidates_lie_in_the_sectors_of_lio_sam_and_are_not_masked(sectors: int):
     rng = np.random.default_rng(sectors)
     d = rng.integers(0, 1500, int(RINGS[-1])).astype(np.int32)
+    d[::7], d[1::7] = 324, 1024  # the limits themselves are neither
     masked = rng.random(len(d)) < 0.2
     marks, sector = masked.astype(np.uint8), np.full(len(d), 9, np.uint8)
     kernels.candidates(d, RINGS, 1024, 324, sectors, marks, sector)
