@@ -333,6 +333,12 @@ CLOCK_CHOSEN = gauge(
     Label("sensor", SENSORS),
     Label("taken_from", CLOCK_CHOICES),
 )
+CLOCK_CHANGES = counter(
+    "splitslam_edge_sensor_clock_changes",
+    "How often a live sensor's lock to GPS or PTP has come or gone while the run went on, without a step in its time",
+    "Antenna and pulse of the receiver, PTP's grandmaster; the log says when, and by how much the sensor's clock stepped.",
+    Label("sensor", SENSORS),
+)
 CLOCK_BEHIND = gauge(
     "splitslam_edge_sensor_clock_behind_seconds",
     "By how much a live sensor's clock is behind ours, its messages' way included; NaN: not known yet",

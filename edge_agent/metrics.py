@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from edge_agent.clouds.shelf import CloudShelf
     from edge_agent.odometry.outage import OutageReport
-    from edge_agent.sources.live.clock import RunClock, SensorClock
+    from edge_agent.sources.live.clock import RunClock
+    from edge_agent.sources.live.sensor_clock import SensorClock
 
 NAN = float("nan")
 _BYTES_PER_KBIT = 125.0
@@ -228,6 +229,7 @@ class EdgeMetrics:
         self._collect(m.SENSOR_PACKETS, lambda: self._live_packets())
         self._collect(m.SENSOR_LOSSES, lambda: self._live_losses())
         self._collect(m.CLOCK_CHOSEN, lambda: {(c.name, c.chosen): 1.0 for c in clocks() if c.chosen})
+        self._collect(m.CLOCK_CHANGES, lambda: {c.name: float(c.changes) for c in clocks()})
         self._collect(m.CLOCK_BEHIND, lambda: dict.fromkeys(m.SENSORS, NAN) | behind_s())
         self._collect(m.CLOCK_PROBLEMS, problems)
 

@@ -204,5 +204,9 @@ LIVE_ROS_ATE_M = 0.0035
 # Stamps by arrival: 80 ppm of drift over the 8 s in which the quickest message counts, and what messages are late by.
 LIVE_CLOCK_S = 1.5e-3
 
+# A lock that comes or goes: by how much a stamp's step may differ from the time that has passed. The sensor's period is
+# known by stamps of whole microseconds; the rest is what offsets move by on purpose, 1 ms a second.
+LOCK_STEP_S = 5e-5
+
 # What is drawn against what was answered: float32 at ten metres, and a quaternion in between.
 VIEW_M = 1e-5
