@@ -60,7 +60,7 @@ class Pacer:
         return 0.0 if over <= 0 else self._all.wait_s(now_s, over)
 
     def spare_s(self, now_s: float, size: int, limit_kbps: float | None, *, live: bool) -> float:
-        """The same for one that is not live: it leaves live ones the room of their largest window so far, or of ten minutes.
+        """The same for one that is not live: it leaves live ones the room of their largest window of ten minutes.
 
         live: there are any; else all of the limit is to spare.
         """
