@@ -102,8 +102,7 @@ def measure(asked: argparse.Namespace) -> dict[str, Any]:
             "two": round(2.0 * drawn / sum(drawing.values()), 1),
         },
         "cpu_share": {
-            where: round(sum(s for (of, _), s in cpu.items() if of == where) / lasted_s, 3)
-            for where in ("view", "rerun")
+            where: round(sum(s for (of, _), s in cpu.items() if of == where) / lasted_s, 3) for where in ("view", "rerun")
         },
         "load": Path("/proc/loadavg").read_text().split()[0],
         "viewer": said[-1:],

@@ -168,7 +168,7 @@ class RateControl:
         return self._limit_kbps * BYTES_PER_KBIT * (self.settings.backlog_share if self.backlog else 1.0)
 
     def also_sent(self, size: int) -> None:
-        """Bytes that are no frame's, from any thread. Frames are planned as without, and have what the window has left."""
+        """Bytes that are no frame's, from any thread. Frames are planned as without, in what the window has left."""
         if self.limit_kbps is not None:
             self._unbooked.append(size + self.settings.frame_overhead_bytes)
 
