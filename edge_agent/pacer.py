@@ -9,7 +9,8 @@ from collections import deque
 _WINDOW_S = 5.0
 _CEILING = 1.05  # of the limit, in any window; live frames alone stay below 1 (edge_agent/rate.py)
 _SPARE_CEILING = 0.95  # the same with what is not live
-_PEAK_S = 60.0  # live frames may need again what they have needed within this time
+_PEAK_S = 600.0  # live frames may need again what they have needed within this time
+_LEARN_S = 60.0  # what they need is not known before
 _BYTES_PER_KBIT = 125.0
 _LEAST_S = 1e-3
 
@@ -59,14 +60,14 @@ class Pacer:
         return 0.0 if over <= 0 else self._all.wait_s(now_s, over)
 
     def spare_s(self, now_s: float, size: int, limit_kbps: float | None, *, live: bool) -> float:
-        """The same for one that is not live: it leaves live ones the room of their largest window of the last minute.
+        """The same for one that is not live: it leaves live ones the room of their largest window of ten minutes.
 
         live: there are any; else all of the limit is to spare.
         """
         if limit_kbps is None:
             return 0.0
-        if live and now_s < self._live_since_s + _WINDOW_S:  # what they need is not known yet
-            return _WINDOW_S
+        if live and now_s < self._live_since_s + _LEARN_S:
+            return self._live_since_s + _LEARN_S - now_s if self._peaks else _LEARN_S
         while self._peaks and self._peaks[0][0] <= now_s - _PEAK_S:
             self._peaks.popleft()
         peak = self._peaks[0][1] if self._peaks and live else self._live.at(now_s)

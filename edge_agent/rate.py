@@ -84,7 +84,9 @@ class RateControl:
         self._dense_frames = 0
         self._sent: deque[tuple[int, int]] = deque()  # (stamp_ns, bytes) of the last window
         self._sum = 0
-        self._others: deque[int] = deque()  # what else went over the link, not yet booked
+        self._unbooked: deque[int] = deque()  # what else went over the link, by whoever sent it
+        self._others: deque[tuple[int, int]] = deque()  # the same as _sent
+        self._others_sum = 0
         bare = 110.0 + settings.frame_overhead_bytes
         self._kinds = {
             False: _Kind(bare, 2.3, 500.0, 9.0, settings.fewest_points, bare),
@@ -166,15 +168,22 @@ class RateControl:
         return self._limit_kbps * BYTES_PER_KBIT * (self.settings.backlog_share if self.backlog else 1.0)
 
     def also_sent(self, size: int) -> None:
-        """Bytes that are no frame's; any thread may say so. Frames have what is left of the window."""
+        """Bytes that are no frame's, from any thread. Frames are planned as without, in what the window has left."""
         if self.limit_kbps is not None:
-            self._others.append(size + self.settings.frame_overhead_bytes)
+            self._unbooked.append(size + self.settings.frame_overhead_bytes)
+
+    def _left(self, stamp_ns: int) -> float:
+        """Bytes of the window below the ceiling."""
+        while self._unbooked:
+            size = self._unbooked.popleft()
+            self._others.append((stamp_ns, size))
+            self._others_sum += size
+        while self._others and self._others[0][0] <= stamp_ns - WINDOW_NS:
+            self._others_sum -= self._others.popleft()[1]
+        window = self._budget() * WINDOW_NS * 1e-9
+        return self.settings.ceiling * window - self._used(stamp_ns) - self._others_sum
 
     def _used(self, stamp_ns: int) -> int:
-        while self._others:
-            size = self._others.popleft()
-            self._sent.append((stamp_ns, size))
-            self._sum += size
         while self._sent and self._sent[0][0] <= stamp_ns - WINDOW_NS:
             self._sum -= self._sent.popleft()[1]
         return self._sum
@@ -182,15 +191,14 @@ class RateControl:
     def _room(self, stamp_ns: int) -> float:
         """Bytes that one frame may take now."""
         window = self._budget() * WINDOW_NS * 1e-9
-        left = self.settings.ceiling * window - self._used(stamp_ns)
-        return min(left, self.settings.largest_frame * window)
+        return min(self._left(stamp_ns), self.settings.largest_frame * window)
 
     def _room_for_points(self, stamp_ns: int, first: bool) -> float:
         """The same, when the frames that follow need at least their motion: at a start all of the window's."""
         s, window_s = self.settings, WINDOW_NS * 1e-9
         window = self._budget() * window_s
         rest_s = max(window_s - self._passed_s(stamp_ns), _LEFT_S)
-        left = s.ceiling * window - self._used(stamp_ns) - rest_s * self._kinds[False].per_s * self._motion_bytes
+        left = self._left(stamp_ns) - rest_s * self._kinds[False].per_s * self._motion_bytes
         return min(left, (s.largest_first_frame if first else s.largest_frame) * window)
 
     def _passed_s(self, stamp_ns: int) -> float:

@@ -20,6 +20,10 @@ def key_figures(report: dict[str, Any]) -> list[tuple[str, str]]:
             ("ATE, online", _mm(score["online"]["ate_m"])),
             ("RPE over 1 s", _mm(score["trajectory"]["rpe_1s_m"])),
         ]
+    dense = report.get("dense") or {"sent": 0, "waiting": 0}
+    if dense["sent"] or dense["waiting"]:
+        live = f"live uplink {_number(uplink['live_kbps'], 0)} kbit/s"
+        figures.append(("dense keyframes", f"{dense['sent']} sent, {dense['waiting']} left; {live}"))
     return [
         *figures,
         ("uplink", f"{_number(uplink['kbps'], 0)} kbit/s, {_number(uplink['bytes_per_scan'], 0)} B a scan"),

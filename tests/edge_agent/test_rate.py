@@ -137,3 +137,16 @@ def test_the_map_begins_with_whole_frames_however_tight_the_budget():
         carried.append(points)
     assert carried[:2] == [5000] * 2
     assert max(carried[2:]) < 2500
+
+
+def test_what_else_went_over_the_link_leaves_less_of_the_window_and_costs_no_frame():
+    alone, beside = RateControl(RateSettings(), 200), RateControl(RateSettings(), 200)
+    others = 60_000
+    for control in (alone, beside):
+        drive(control, 100, 100, bits=8.0)  # far below the budget
+    beside.also_sent(others)
+    dense = drive(alone, 60, 4, start=100), drive(beside, 60, 4, start=100)
+    first = [int(run.sizes[run.stamps_ns < 149 * SCAN_NS].sum()) for run in dense]
+    assert first[0] + others > 200 * 125 * 5
+    assert first[1] + others <= 200 * 125 * 5
+    assert dense[1].left_out == 0
