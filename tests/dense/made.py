@@ -45,15 +45,15 @@ def opening(run_id: str = "", robot_id: str = "rover-7") -> pb.UploadOpen:
 
 
 class OpenLink:
-    """A link that is idle, or not: edge_agent.clouds.sender.Link."""
+    """A link that is idle, or not, also for so many bytes only (`most`): edge_agent.clouds.sender.Link."""
 
     def __init__(self, limit_kbps: float | None = None) -> None:
         self.takes_dense, self.limit_kbps = True, limit_kbps
-        self.idle = True
+        self.idle, self.most = True, float("inf")
         self.sent: list[int] = []
 
     def spare_s(self, size: int) -> float:
-        return 0.0 if self.idle else 0.01
+        return 0.0 if self.idle and sum(self.sent) < self.most else 0.01
 
     def spare_sent(self, size: int) -> None:
         self.sent.append(size)
