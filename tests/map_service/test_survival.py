@@ -72,6 +72,35 @@ def test_after_sigkill_of_the_service_a_restart_on_store_and_port_goes_on_and_ma
     assert operator.poses(session_id) == final(60)
 
 
+def test_after_sigkill_scans_that_had_moved_into_blocks_are_there_once(
+    start_service: Callable[..., Service], connect: Connect, session_id: str
+) -> None:
+    service = start_service(housekeeping_s=0.05)
+    robot = connect(service)
+    moved = "splitslam_map_scans_in_blocks_total"
+    seq = 0
+    while not service.metrics().get(moved):
+        for seq in range(seq + 1, seq + 101):
+            robot.ask(frame(seq))
+        assert seq < 3000
+    service.kill()
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    service.start()
+    resumed = connect(service)
+    durable = resumed.next("welcome").durable_seq
+    for again in range(durable + 1, seq + 1):
+        assert resumed.ask(frame(again)).pose_map_lidar.tx_m == again
+    old = resumed.ask(frame(3))
+    assert (old.duplicate, old.pose_map_odom.tx_m) == (True, 0.5)
+    assert old.pose_map_lidar.tx_m == pytest.approx(3.0)
+    finish(resumed, seq)
+    operator = Operator(service.address)
+    poses = operator.poses(session_id)
+    operator.close()
+    assert [number for number, _ in poses] == list(range(1, seq + 1))
+    assert poses == pytest.approx(final(seq))
+
+
 def test_a_new_stream_goes_on_without_a_rebuild_and_ends_the_old_one(service: Service, connect: Connect) -> None:
     first = connect(service)
     for seq in range(1, 4):
