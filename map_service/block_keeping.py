@@ -74,8 +74,8 @@ class BlockKeeper:
     def _due(self, now_s: float) -> list[int]:
         """Sessions to look at. None while services of the version before may still be running: they know rows alone."""
         with self._store.reading() as connection:
-            since_s = migrations.since(connection).get(_SINCE, 0.0)
-            if now_s < since_s + self._config.upgrade_h * 3600.0:
+            since_s = migrations.since(connection).get(_SINCE)  # None: it was made with them
+            if since_s is not None and now_s < since_s + self._config.upgrade_h * 3600.0:
                 return []
             keys = connection.execute(select(_s.c.id).order_by(_s.c.id)).scalars()
             return [key for key in keys if key not in self._settled]
