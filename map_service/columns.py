@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from splitslam.errors import DataError
 
-# Ranges of bits by what came before, without a header of its own: on columns of a few hundred small numbers half the
-# size of zstd's (docs/decisions.md). lc, lp, pb: a byte's context is the one before it.
+# On columns of a few hundred small numbers a twentieth smaller than zstd -19: it adapts, and needs no tables of its own.
+# lc, lp, pb: a byte's context is the one before it.
 _FILTERS = [{"id": lzma.FILTER_LZMA1, "dict_size": 1 << 16, "lc": 3, "lp": 0, "pb": 0}]
 _HEAD = struct.Struct("<BII")  # version, CRC-32 of what follows, length of the columns
 _VERSION = 1

@@ -13,27 +13,27 @@ T0_NS = 1_700_000_000_123_456_789
 NOISE_RAD, NOISE_M = 2e-5, 2e-4
 
 
-def circling(n: int, speed_mps: float = 1.0, radius_m: float = 16.0, seed: int = 1) -> np.ndarray:
-    """T_map_lidar (n, 4, 4) each 0.1 s, with the noise of answers; speed 0: parked."""
-    rng = np.random.default_rng(seed)
+def circling(n: int, speed_mps: float = 1.0, seed: int = 1, noise: float = 1.0) -> np.ndarray:
+    """T_map_lidar (n, 4, 4) each 0.1 s on a circle of 16 m, `noise` times as inexact; speed 0: parked."""
+    rng, radius_m = np.random.default_rng(seed), 16.0
     poses = []
     for i in range(n):
         angle = speed_mps * 0.1 * i / radius_m
         at = radius_m * np.array([np.sin(angle), 1.0 - np.cos(angle), 0.0])
         T = se3.compose(se3.so3_exp(np.array([0.0, 0.0, angle])), at)
-        poses.append(T @ se3.exp(rng.normal(0.0, np.repeat([NOISE_RAD, NOISE_M], 3))))
+        poses.append(T @ se3.exp(noise * rng.normal(0.0, np.repeat([NOISE_RAD, NOISE_M], 3))))
     return np.array(poses)
 
 
-def scans_along(way: np.ndarray, first_seq: int = 1, seed: int = 1) -> Scans:
-    """Scans (n,) answered at `way`, a keyframe each ten of them, stamps that jitter by 20 us."""
+def scans_along(way: np.ndarray, every: int = 10, seed: int = 1) -> Scans:
+    """Scans (n,) answered at `way`, a keyframe each `every` of them, stamps that jitter by 20 us."""
     n, rng = len(way), np.random.default_rng(seed)
-    keyframe = np.arange(n) // 10
-    keyframes = way[::10][keyframe]
+    keyframe = np.arange(n) // every
+    keyframes = way[::every][keyframe]
     factor = np.linalg.cholesky(np.diag([1e-8, 1e-8, 4e-8, 1e-6, 4e-6, 1e-6]) * np.exp(rng.normal(0, 0.01, (n, 1, 1))))
     return Scans(
-        seq=first_seq + np.arange(n),
-        stamp_ns=T0_NS + (first_seq + np.arange(n)) * FRAME_NS + rng.integers(-20_000, 20_000, n),
+        seq=np.arange(1, n + 1),
+        stamp_ns=T0_NS + np.arange(1, n + 1) * FRAME_NS + rng.integers(-20_000, 20_000, n),
         state=np.full(n, int(State.TRACKING)),
         keyframe=keyframe,
         T_keyframe_lidar=np.array([se3.inv(K) @ T for K, T in zip(keyframes, way, strict=True)]),
