@@ -27,8 +27,8 @@ from sqlalchemy import LargeBinary, Text, func, select
 from benchmarks.town import FRAME_NS, Robot, round_and_round, straight_on
 from map_service import schema
 from map_service.accounts import SessionAccounts
-from map_service.commits import Committer
 from map_service.block_keeping import BlockKeeper
+from map_service.commits import Committer
 from map_service.config import CommitConfig, PosesConfig
 from map_service.engine import SlamEngine
 from map_service.hello import WIRE_VERSION, SessionRequest, read_hello
@@ -91,7 +91,7 @@ class _Engine(SlamEngine):
 class LongSession:
     """One session of `robot` with its store at `url`; `play` goes on from where it stands."""
 
-    def __init__(self, robot: Robot, url: str, way, poses: PosesConfig = PosesConfig()) -> None:
+    def __init__(self, robot: Robot, url: str, way, poses: PosesConfig | None = None) -> None:
         self._robot, self._way = robot, way
         self.store, self._engine, tally = Store(url), _Engine(), Tally()
         hello = pb.Hello(
@@ -106,7 +106,7 @@ class LongSession:
         )
         self._request, self._tally, self.seq = read_hello(hello, codec.CODEC_VERSION), tally, 0
         self._committer = Committer(self.store, CommitConfig(), tally)
-        self._keeper = BlockKeeper(self.store, poses)
+        self._keeper = BlockKeeper(self.store, poses or PosesConfig())
         self.reopen()
 
     def reopen(self) -> None:
@@ -254,7 +254,9 @@ def main() -> None:
     minutes = options.minutes or {"new": 120.0, "loop": 480.0}[options.kind]
     samples, began_s = [], time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        for sample in (new_ground if options.kind == "new" else same_loop)(minutes, f"sqlite:///{folder}/map.db", poses):
+        for sample in (new_ground if options.kind == "new" else same_loop)(
+            minutes, f"sqlite:///{folder}/map.db", poses
+        ):
             samples.append(sample)
             print(json.dumps(asdict(sample)), file=sys.stderr, flush=True)
     result = {

@@ -1,7 +1,7 @@
 """Kernels of stored ways: poses as small numbers against a prediction, and which of them the others follow from.
 
-Ways are poses (n, 4, 4) T_map_lidar at times (n,), s. Between two kept poses the robot moves with a constant twist, which
-is a straight line or an arc: T(s) = T_a exp(s log(T_a^-1 T_b)).
+Ways are poses (n, 4, 4) T_map_lidar at times (n,), s. Between two kept poses the robot moves with a constant twist, on
+a straight line or an arc: T(s) = T_a exp(s log(T_a^-1 T_b)).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _ahead(T, twist, dt_s, xi, step, out):
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def _moved(T, r, share, turn, out):
-    """out = T, moved by `share` of r (6,): a rotation vector and a shift, both in T's own axes. turn (3, 3): scratch."""
+    """out = T, moved by `share` of r (6,): rotation vector and shift, both in T's own axes. turn (3, 3): scratch."""
     rotation_from_vector(share * r[0], share * r[1], share * r[2], turn)
     for i in range(3):
         out[i, 3] = T[i, 3]
@@ -151,8 +151,8 @@ def _follows(poses, times_s, numbers, limits, a, b):
 def thin_way(poses, times_s, numbers, limits, kept):
     """Which poses to keep (n,) bool so that the others follow from them within limits (3,), as `_follows` has it.
 
-    numbers (n,): of the scans; times between kept ones go by them. Each time the furthest that a doubling reach and then
-    halving finds.
+    numbers (n,): of the scans; times between kept ones go by them. Each time the furthest that a doubling reach and
+    then halving finds.
     """
     n = len(poses)
     kept[:] = False
@@ -179,7 +179,7 @@ def thin_way(poses, times_s, numbers, limits, kept):
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def hold(values, bounds, steps, changed, numbers):
-    """Rows of values (n, c) as numbers (n, c) int64 of steps (c,), each held until one is off by more than its bound (c,).
+    """Rows of values (n, c) as numbers (n, c) int64 of steps (c,), held until one is off by more than its bound (c,).
 
     changed (n,) bool: rows that are new; the first one is.
     """

@@ -45,7 +45,7 @@ def decode_block(data: bytes, anchors: Mapping[int, Array]) -> Scans:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Mapped:
-    """Of m scans: stamps (m,) since the block's origin, poses (3, m, 4, 4) as Scans has them, factors, which were kept."""
+    """Of m scans: stamps (m,) since the origin, poses (3, m, 4, 4) as Scans has them, factors, which were kept."""
 
     stamp_ns: Ints
     poses: Array

@@ -1,7 +1,7 @@
 """Stored scans in blocks: what a run of them says, in a few bytes a scan, and next to none where nothing happens.
 
-A scan's pose is told twice: from its keyframe, which corrections move, and in `map` as it was answered. Each keyframe has
-an anchor, a pose that is written once and never moves. Where the map had keyframe k while the scans were answered is
+A scan's pose is told twice: from its keyframe, which corrections move, and in `map` as it was answered. Each keyframe
+has an anchor, a pose that is written once and never moves. Where the map had keyframe k while scans were answered is
 
     T_map_k = anchor_k moved by its shift          (held: as before, until it is off by more than its bound)
     X_i     = T_map_k T_k_lidar(i)                 (the way, as numbers against its prediction: _way_kernels.py)
@@ -27,9 +27,10 @@ from splitslam.errors import DataError
 
 Array = NDArray[np.float64]
 MOST_SCANS = 4096
-# Of the filter that expects the next pose: a motion that is believed at once, one that is smoothed, a robot that stands.
+# Of the filter that expects the next pose: of motions that are believed at once, that are smoothed, of standing.
 GAINS = np.array([[1.0, 1.0], [0.6, 0.25], [0.3, 0.05]])
 LOWER = np.tril_indices(6, -1)
+_QUICK, _HARD = 12, 19  # levels of compression: 0.1 and 3 ms, 7 % apart; every scan is thinned once in 4,096
 _LEAST_SIGMA = 1e-9  # rad or m
 _FARTHEST_M = 1e9
 
@@ -62,7 +63,7 @@ def encode_block(scans: Scans, anchors: Mapping[int, Array], fidelity: Fidelity)
     for reason in lost.rejected:
         out.text(str(reason))
     left_out = _put_mapped(out, there, int(scans.stamp_ns[0]), anchors, fidelity) if len(there) else 0
-    return out.packed(), left_out
+    return out.packed(_HARD if fidelity.thins else _QUICK), left_out
 
 
 def _put_mapped(out: ColumnWriter, scans: Scans, origin_ns: int, anchors: Mapping[int, Array], f: Fidelity) -> int:
@@ -109,7 +110,7 @@ def _put_covariances(out: ColumnWriter, factor: Array, f: Fidelity) -> None:
 
 
 def _shapes(factor: Array) -> Array:
-    """(n, 21) of Cholesky factors (n, 6, 6): logarithms of the six sigmas, and the rows below the diagonal over them."""
+    """(n, 21) of Cholesky factors (n, 6, 6): logarithms of the six sigmas, and what is below the diagonal over them."""
     sigmas = np.maximum(np.linalg.norm(factor, axis=2), _LEAST_SIGMA)
     return np.concatenate([np.log(sigmas), (factor / sigmas[:, :, None])[:, *LOWER]], axis=1)
 

@@ -84,7 +84,7 @@ class BlockKeeper:
         """The next thing to do with a session, in one transaction; None: there is nothing."""
         with self._store.reading() as connection:
             row = connection.execute(_session(key)).first()
-            if row is None or not (_closable(connection, row) or self._thinnable(connection, row, now_s)):
+            if row is None or not (_may_close(connection, row) or self._thinnable(connection, row, now_s)):
                 if row is None or (row.finished and not self._thins_later(connection, row)):
                     self._settled.add(key)
                 return None
@@ -131,13 +131,17 @@ def _session(key: int):
     return select(*columns).where(_s.c.id == key)
 
 
+def _may_close(connection: Connection, session: Row) -> bool:
+    """Are there as many rows as it takes? Asks the primary key alone."""
+    numbers = select(_f.c.seq).where(_f.c.session == session.id).order_by(_f.c.seq)
+    enough = 0 if session.finished else OPEN + SCANS - 1
+    return connection.execute(numbers.offset(enough).limit(1)).first() is not None
+
+
 def _closable(connection: Connection, session: Row) -> list[Row]:
     """The oldest rows, as many as make a block; of a session that has ended all that are left."""
     last_seq = session.last_seq
     if not session.finished:
-        numbers = select(_f.c.seq).where(_f.c.session == session.id).order_by(_f.c.seq)
-        if connection.execute(numbers.offset(OPEN + SCANS - 1).limit(1)).first() is None:  # as it is most of the time
-            return []
         mapped = select(_f.c.seq).where(_f.c.session == session.id, _f.c.rejected == "")
         last_seq = connection.execute(mapped.order_by(_f.c.seq.desc()).offset(OPEN).limit(1)).scalar() or 0
     query = select(_f).where(_f.c.session == session.id, _f.c.seq <= last_seq).order_by(_f.c.seq).limit(SCANS)

@@ -93,7 +93,9 @@ class Catalog:
             for scans in SessionScans(connection, key).pages():
                 page = scans.part(scans.mapped)
                 numbers = page.keyframe.tolist()
-                if lost := next((seq for seq, k in zip(page.seq.tolist(), numbers, strict=True) if k not in poses), None):
+                if lost := next(
+                    (seq for seq, k in zip(page.seq.tolist(), numbers, strict=True) if k not in poses), None
+                ):
                     raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
                 if len(page):
                     now = np.array([poses[keyframe] for keyframe in numbers]) @ page.T_keyframe_lidar

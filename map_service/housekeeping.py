@@ -1,4 +1,4 @@
-"""What a store needs now and then: finished sessions of before deleted, old scans put into blocks, its size measured."""
+"""What a store needs now and then: old sessions deleted, old scans put into blocks, its size measured."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from sqlalchemy import and_, or_, select, update
 
 from map_service import schema
+from map_service.block_keeping import BlockKeeper
 from map_service.catalog import Catalog, delete_session
 from map_service.config import RetentionConfig, ServiceConfig
-from map_service.block_keeping import BlockKeeper
 from map_service.database import StoreError, alone
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store

@@ -11,8 +11,8 @@ from sqlalchemy import Connection, func, select
 
 from map_service import schema
 from map_service.cloud import decode_cloud
-from map_service.pose_at import NotKnownError
 from map_service.packing import unpack_pose
+from map_service.pose_at import NotKnownError
 from map_service.session_scans import SessionScans
 from map_service.store import Store
 from splitslam.errors import DataError, InputError

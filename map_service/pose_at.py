@@ -37,8 +37,8 @@ class NotKnownError(Exception):
 class PoseAt:
     """T_map_lidar (4, 4) at a moment between scans seq_before and seq_after; covariance (6, 6) as they were answered.
 
-    map_version: the one it is in; it can be asked for in oldest_version to newest_version. thinned: a scan it lies between
-    has no pose of its own any more.
+    map_version: the one it is in; it can be asked for in oldest_version to newest_version. thinned: a scan it lies
+    between has no pose of its own any more.
     """
 
     T_map_lidar: Array

@@ -118,9 +118,9 @@ def _mapped_rows(key: int, entry: SessionCommit) -> list[dict[str, object]]:
     frames = entry.commit.frames
     if not frames:
         return []
-    odom = [entry.T_map_odom[f.seq] for f in frames]
-    poses = [f.T_keyframe_lidar for f in frames], [f.T_map_lidar_online for f in frames], odom
-    packed = zip(*(pack_all(np.array(each)) for each in poses), strict=True)
+    n, odom = len(frames), [entry.T_map_odom[f.seq] for f in frames]
+    packed = pack_all(np.array([f.T_keyframe_lidar for f in frames] + [f.T_map_lidar_online for f in frames] + odom))
+    poses = zip(packed[:n], packed[n : 2 * n], packed[2 * n :], strict=True)
     covariances = pack_covariances([entry.covariance.get(f.seq) for f in frames])
     return [
         {
@@ -135,7 +135,7 @@ def _mapped_rows(key: int, entry: SessionCommit) -> list[dict[str, object]]:
             "rejected": "",
             "covariance": covariance,
         }
-        for f, (keyframe_lidar, map_lidar, map_odom), covariance in zip(frames, packed, covariances, strict=True)
+        for f, (keyframe_lidar, map_lidar, map_odom), covariance in zip(frames, poses, covariances, strict=True)
     ]
 
 

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Row
 
+from map_service import schema
 from map_service.packing import unpack_all, unpack_factors
 from splitslam.errors import DataError
 
 Array = NDArray[np.float64]
 NO_KEYFRAME = -1
+_POSES = "pose_keyframe_lidar", "online_map_lidar", "online_map_odom"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,23 +94,22 @@ def joined(parts: Sequence[Scans]) -> Scans:
 
 def scans_of_rows(rows: Sequence[Row]) -> Scans:
     """Rows of `schema.frames`, in order. Raises DataError("corrupt") for what no commit wrote."""
-    n, mapped = len(rows), np.array([not row.rejected for row in rows], bool)
-    there = [row for row in rows if not row.rejected]
-    if any(row.keyframe is None or row.keyframe < 0 for row in there):
+    names = [column.name for column in schema.frames.columns]
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(names, ())
+    n, rejected = len(rows), np.array(columns["rejected"], "U64")
+    mapped = rejected == ""
+
+    def there(name: str) -> list:
+        return [value for value, lost in zip(columns[name], columns["rejected"], strict=True) if not lost]
+
+    numbers = there("keyframe")
+    if any(number is None or number < 0 for number in numbers):
         raise DataError("corrupt", "a frame on no keyframe")
-    poses = np.tile(np.eye(4), (3, n, 1, 1))
-    for pose, name in zip(poses, ("pose_keyframe_lidar", "online_map_lidar", "online_map_odom"), strict=True):
-        pose[mapped] = unpack_all([getattr(row, name) for row in there])
-    factor, keyframe = np.full((n, 6, 6), np.nan), np.full(n, NO_KEYFRAME, np.int64)
-    factor[mapped] = unpack_factors([row.covariance for row in there])
-    keyframe[mapped] = [row.keyframe for row in there]
-    return Scans(
-        np.array([row.seq for row in rows], np.int64),
-        np.array([row.stamp_ns for row in rows], np.int64),
-        np.array([row.state for row in rows], np.int64),
-        keyframe,
-        *poses,
-        factor,
-        np.array([row.rejected for row in rows], "U64"),
-        np.zeros(n, bool),
-    )
+    poses, factor = np.tile(np.eye(4), (3, n, 1, 1)), np.full((n, 6, 6), np.nan)
+    packed = [data for name in _POSES for data in there(name)]
+    poses[:, mapped] = unpack_all(packed).reshape(3, -1, 4, 4)
+    factor[mapped] = unpack_factors(there("covariance"))
+    keyframe = np.full(n, NO_KEYFRAME, np.int64)
+    keyframe[mapped] = numbers
+    seq, stamp_ns, state = (np.array(columns[name], np.int64) for name in ("seq", "stamp_ns", "state"))
+    return Scans(seq, stamp_ns, state, keyframe, *poses, factor, rejected, np.zeros(n, bool))

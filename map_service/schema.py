@@ -147,7 +147,7 @@ events = Table(
     Column("content", LargeBinary, nullable=False),
 )
 
-# Scans that are older than those in `frames`, many in one (map_service/pose_blocks.py). Stamps: of the first and last one
+# Scans older than those in `frames`, many in one (map_service/block_encoding.py). Stamps: of the first and the last one
 # that were mapped; null: none was. thinned: how many have no pose of their own any more; null: every scan has one.
 pose_blocks = Table(
     "pose_blocks",

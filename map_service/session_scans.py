@@ -1,4 +1,4 @@
-"""All stored scans of a session: the oldest in blocks, the newest in rows of their own, in any order they are asked for."""
+"""All stored scans of a session: the oldest in blocks, the newest in rows of their own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Row, select
 
 from map_service import schema
 from map_service.block_decoding import decode_block
-from map_service.packing import unpack_pose
+from map_service.packing import unpack_all
 from map_service.scans import Scans, StoredScan, scans_of_rows
 
 _ROWS, _BLOCKS = 1000, 16  # at a time
@@ -30,8 +30,9 @@ class SessionScans:
     @cached_property
     def anchors(self) -> dict[int, Array]:
         """T_map_keyframe (4, 4) by keyframe, as the blocks refer to them."""
-        rows = self._connection.execute(select(_a.c.keyframe, _a.c.pose).where(_a.c.session == self._key))
-        return {keyframe: unpack_pose(pose) for keyframe, pose in rows}
+        query = select(_a.c.keyframe, _a.c.pose).where(_a.c.session == self._key)
+        rows = self._connection.execute(query).all()
+        return dict(zip((row.keyframe for row in rows), unpack_all([row.pose for row in rows]), strict=True))
 
     def decoded(self, block: Row) -> Scans:
         """A row of `schema.pose_blocks`."""

@@ -1,4 +1,4 @@
-"""What each view says of a grid, worked out once, and on disk for the parts of the grid that are made one after the other."""
+"""What each view says of a grid, worked out once, and on disk for the parts of the grid that are made one by one."""
 
 from __future__ import annotations
 

@@ -41,9 +41,7 @@ def committed(store: Store, key: int, first: int, last: int, *, finished: bool =
     scans = scans_along(WAY).part(slice(first, last))
     mapped = [scan for scan in scans if scan.seq % 100 != 50]
     rejected = [(scan.seq, scan.stamp_ns, "corrupt") for scan in scans if scan.seq % 100 == 50]
-    frames = [
-        FrameRecord(s.seq, s.stamp_ns, s.keyframe, s.T_keyframe_lidar, s.T_map_lidar, s.state) for s in mapped
-    ]
+    frames = [FrameRecord(s.seq, s.stamp_ns, s.keyframe, s.T_keyframe_lidar, s.T_map_lidar, s.state) for s in mapped]
     new = range(-(-first // 10), -(-last // 10))
     keyframes = [KeyframeRecord(k, 10 * k + 1, int(scans.stamp_ns[0]), WAY[10 * k], made_cloud()) for k in new]
     factors = [FactorRecord(k, "odometry" if k else "prior", JSON) for k in new]

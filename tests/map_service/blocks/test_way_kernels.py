@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -86,8 +87,8 @@ def test_what_is_left_out_follows_within_the_limits_and_as_much_as_a_halving_fin
         away_m, turned_rad = furthest(np.array(between), way[a + 1 : b]) if between else (0.0, 0.0)
         return away_m <= LIMITS[1] and turned_rad <= LIMITS[0]
 
-    assert all(fits(a, b) for a, b in zip(at, at[1:], strict=False))
-    assert sum(fits(a, b + 1) for a, b in zip(at, at[1:-1], strict=False)) <= 1
+    assert all(fits(a, b) for a, b in pairwise(at))
+    assert sum(fits(a, b + 1) for a, b in pairwise(at[:-1])) <= 1
 
 
 def test_a_robot_that_stands_has_two_poses() -> None:
