@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def decode_block(data: bytes, anchors: Mapping[int, Array]) -> Scans:
     """Raises DataError("corrupt") for what encode_block did not write, and for a keyframe without an anchor."""
     columns = ColumnReader(data)
-    steps = columns.take(4) * MICRO
+    steps = np.asarray(columns.take(4) * MICRO, np.float64)
     thins, n, first_seq, origin_ns = columns.take(4).tolist()
     if not 0 < n <= MOST_SCANS:
         raise DataError("corrupt", f"a block of {n} scans")
@@ -40,7 +40,8 @@ def decode_block(data: bytes, anchors: Mapping[int, Array]) -> Scans:
         poses[:, mapped], factor[mapped], left_out[mapped] = read.poses, read.factor, ~read.kept
     if not (np.isfinite(poses).all() and (np.diff(seq) > 0).all()):
         raise DataError("corrupt", "a block of scans that are nowhere")
-    return Scans(seq, stamp_ns, state, keyframe, *poses, factor, rejected, left_out)
+    answers = poses[1], poses[2], factor, rejected, left_out
+    return Scans(seq, stamp_ns, state, keyframe, poses[0], *answers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from map_service import _way_kernels as kernels
 from map_service.columns import ColumnWriter, Ints
-from map_service.fidelity import MICRO, Fidelity
+from map_service.fidelity import Fidelity
 from map_service.pose_arrays import apart, identities, inverse, moved
 from map_service.scans import NO_KEYFRAME, Scans
 from splitslam.errors import DataError
@@ -69,7 +69,7 @@ def encode_block(scans: Scans, anchors: Mapping[int, Array], fidelity: Fidelity)
 def _put_mapped(out: ColumnWriter, scans: Scans, origin_ns: int, anchors: Mapping[int, Array], f: Fidelity) -> int:
     if not max(np.abs(scans.T_map_lidar).max(), np.abs(scans.T_keyframe_lidar).max()) < _FARTHEST_M:
         raise DataError("corrupt", "a pose that is nowhere")
-    rotation_rad, position_m, *_ = f.told * MICRO
+    rotation_rad, position_m, *_ = f.read_as
     steps = np.repeat([rotation_rad, position_m], 3)
     starts, run = runs(scans.keyframe)
     fixed = np.array([anchors[k] for k in scans.keyframe[starts].tolist()])
@@ -105,7 +105,7 @@ def _put_covariances(out: ColumnWriter, factor: Array, f: Fidelity) -> None:
     known = ~np.isnan(factor[:, 0, 0])
     out.add(known)
     if known.any():
-        bounds = np.repeat(f.told[2:] * MICRO, [6, 15])
+        bounds = np.repeat(f.read_as[2:], [6, 15])
         _held(out, _shapes(factor[known]), bounds, bounds / 2.0)
 
 

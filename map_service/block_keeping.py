@@ -28,8 +28,8 @@ from map_service.store import Store
 from splitslam.errors import DataError
 from splitslam.logs import fields
 
-SCANS = 256  # of a block
-MERGED = 16  # blocks that become one when they are thinned
+SCANS = 512  # of a block
+MERGED = 8  # blocks that become one when they are thinned
 OPEN = carried.MOST  # mapped scans that stay rows while the session goes on
 _BLOCK_BYTES = 60  # of a row of `pose_blocks` besides its content
 _SINCE = 4  # the version of the store that knows blocks

@@ -37,6 +37,11 @@ class Fidelity:
         return np.rint(np.array([self.rotation_rad, self.position_m, self.sigma, self.shape]) / MICRO).astype(np.int64)
 
     @property
+    def read_as(self) -> Array:
+        """(4,): what `told` says, as a reader has it."""
+        return np.asarray(self.told * MICRO, np.float64)
+
+    @property
     def thins(self) -> bool:
         return self.within_m > 0.0
 

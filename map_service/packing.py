@@ -95,7 +95,7 @@ def pack_covariance(covariance: Array | None) -> bytes | None:
     except np.linalg.LinAlgError:  # known to rounding along some direction
         variances, axes = np.linalg.eigh(covariance)
         factor = np.linalg.qr((axes * np.sqrt(np.maximum(variances, 0.0))).T).R.T
-    return _pack_factor(factor)
+    return _pack_factor(np.asarray(factor, np.float64))
 
 
 def pack_covariances(covariances: Sequence[Array | None]) -> list[bytes | None]:

@@ -111,5 +111,15 @@ def scans_of_rows(rows: Sequence[Row]) -> Scans:
     factor[mapped] = unpack_factors(there("covariance"))
     keyframe = np.full(n, NO_KEYFRAME, np.int64)
     keyframe[mapped] = numbers
-    seq, stamp_ns, state = (np.array(columns[name], np.int64) for name in ("seq", "stamp_ns", "state"))
-    return Scans(seq, stamp_ns, state, keyframe, *poses, factor, rejected, np.zeros(n, bool))
+    return Scans(
+        np.array(columns["seq"], np.int64),
+        np.array(columns["stamp_ns"], np.int64),
+        np.array(columns["state"], np.int64),
+        keyframe,
+        poses[0],
+        poses[1],
+        poses[2],
+        factor,
+        rejected,
+        np.zeros(n, bool),
+    )

@@ -79,7 +79,7 @@ def thinned(way: np.ndarray, times_s: np.ndarray, numbers: np.ndarray | None = N
 def test_what_is_left_out_follows_within_the_limits_and_as_much_as_a_halving_finds() -> None:
     way = circling(60, noise=2.0)
     kept = thinned(way, TIMES_S)
-    at = np.flatnonzero(kept)
+    at = np.flatnonzero(kept).tolist()
     assert 2 < len(at) < 30
 
     def fits(a: int, b: int) -> bool:
