@@ -28,6 +28,7 @@ from benchmarks.town import FRAME_NS, Robot, round_and_round, straight_on
 from map_service import schema
 from map_service.accounts import SessionAccounts
 from map_service.block_keeping import BlockKeeper
+from map_service.block_warm_up import warm_up_blocks
 from map_service.commits import Committer
 from map_service.config import CommitConfig, PosesConfig
 from map_service.engine import SlamEngine
@@ -107,6 +108,7 @@ class LongSession:
         self._request, self._tally, self.seq = read_hello(hello, codec.CODEC_VERSION), tally, 0
         self._committer = Committer(self.store, CommitConfig(), tally)
         self._keeper = BlockKeeper(self.store, poses or PosesConfig())
+        warm_up_blocks()
         self.reopen()
 
     def reopen(self) -> None:

@@ -8,6 +8,7 @@ import time
 from sqlalchemy import event
 
 from map_service.block_keeping import BlockKeeper
+from map_service.block_warm_up import warm_up_blocks
 from map_service.config import PosesConfig
 from map_service.store import Store
 
@@ -16,6 +17,7 @@ _STATEMENT = {"written": "INSERT INTO pose_blocks", "deleted": "DELETE FROM fram
 
 def main(url: str, moment: str) -> None:
     """moment: after which statement."""
+    warm_up_blocks()  # PostgreSQL ends a transaction whose owner is away for a second
     store = Store(url)
 
     def stop(_connection, _cursor, statement: str, *_: object) -> None:

@@ -34,11 +34,12 @@ from tests.map_service.fakes import made_cloud
 FULL_RATE = PosesConfig(full_rate_h=0.0)
 WAY = circling(2 * OPEN + 3 * SCANS)
 PIECES = OPEN + 2 * SCANS, len(WAY)  # what the store has at first, and later
+ALL = scans_along(WAY)
 
 
 def committed(store: Store, key: int, first: int, last: int, *, finished: bool = False) -> None:
     """Scans first + 1 to last of WAY; a keyframe each ten."""
-    scans = scans_along(WAY).part(slice(first, last))
+    scans = ALL.part(slice(first, last))
     mapped = [scan for scan in scans if scan.seq % 100 != 50]
     rejected = [(scan.seq, scan.stamp_ns, "corrupt") for scan in scans if scan.seq % 100 == 50]
     frames = [FrameRecord(s.seq, s.stamp_ns, s.keyframe, s.T_keyframe_lidar, s.T_map_lidar, s.state) for s in mapped]
@@ -98,7 +99,7 @@ def test_the_oldest_scans_move_in_whole_blocks_and_every_reader_finds_them_there
     assert furthest(stored.T_map_lidar[None], WAY[6:7])[0] < tolerances.BLOCK_ANSWER_M  # type: ignore[index]
     assert store.answers(key, seq=50)[0].rejected == "corrupt"
     with store.reading() as connection:
-        found = SessionPoses(connection, key).at(int(scans_along(WAY).stamp_ns[20]))
+        found = SessionPoses(connection, key).at(int(ALL.stamp_ns[20]))
     assert (found.seq_before, found.seq_after, found.thinned) == (21, 21, False)
     np.testing.assert_allclose(found.T_map_lidar, WAY[20], atol=2 * tolerances.BLOCK_POSE_M)
 
@@ -154,7 +155,7 @@ def test_what_is_older_than_the_full_rate_is_kept_is_thinned_within_the_bounds_a
     assert [one[0] for one in followed(store, key)] == [one[0] for one in young]
     with store.reading() as connection:
         told = stored_scans(connection, key, "r/1", 0, 1000, np.eye(4))
-        at = SessionPoses(connection, key).at(int(scans_along(WAY).stamp_ns[20]))
+        at = SessionPoses(connection, key).at(int(ALL.stamp_ns[20]))
         assert connection.execute(select(func.sum(schema.pose_blocks.c.thinned))).scalar() == thinned
     assert sum(s.pose.thinned for s in told if s.pose) > 500
     assert not told[0].pose.thinned  # type: ignore[union-attr]
