@@ -39,6 +39,12 @@ ALL = scans_along(WAY)
 
 def committed(store: Store, key: int, first: int, last: int, *, finished: bool = False) -> None:
     """Scans first + 1 to last of WAY; a keyframe each ten."""
+    for begin in range(first, last, 200):
+        end = min(begin + 200, last)
+        _commit(store, key, begin, end, finished=finished and end == last)
+
+
+def _commit(store: Store, key: int, first: int, last: int, *, finished: bool) -> None:
     scans = ALL.part(slice(first, last))
     mapped = [scan for scan in scans if scan.seq % 100 != 50]
     rejected = [(scan.seq, scan.stamp_ns, "corrupt") for scan in scans if scan.seq % 100 == 50]
