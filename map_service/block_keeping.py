@@ -32,7 +32,7 @@ SCANS = 512  # of a block
 MERGED = 8  # blocks that become one when they are thinned
 OPEN = carried.MOST  # mapped scans that stay rows while the session goes on
 _BLOCK_BYTES = 60  # of a row of `pose_blocks` besides its content
-_SINCE = 4  # the version of the store that knows blocks
+_SINCE = 5  # the version of the store that knows blocks
 _HOUR_NS = 3_600_000_000_000
 
 _s, _f, _b, _a = schema.sessions, schema.frames, schema.pose_blocks, schema.anchors

@@ -70,7 +70,8 @@ MIGRATIONS = (
         columns=(schema.sessions.c.map_version, schema.sessions.c.events, schema.frames.c.covariance),
         indexes=tuple(schema.frames.indexes),
     ),
-    Migration(4, tables=(schema.pose_blocks, schema.anchors), undo=_as_rows),
+    Migration(4, tables=(schema.dense_clouds,)),
+    Migration(5, tables=(schema.pose_blocks, schema.anchors), undo=_as_rows),
 )
 VERSION = MIGRATIONS[-1].version
 

@@ -169,6 +169,13 @@ anchors = Table(
     _session_key(ondelete="CASCADE"),
     Column("keyframe", Integer, primary_key=True),
     Column("pose", LargeBinary, nullable=False),
+# Whole scans of keyframes as their robot has sent them (splitslam.dense_cloud): those that have come.
+dense_clouds = Table(
+    "dense_clouds",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("keyframe", Integer, primary_key=True),
+    Column("cloud", LargeBinary, nullable=False),
 )
 
 SESSION_TABLES = (
@@ -182,4 +189,5 @@ SESSION_TABLES = (
     events,
     pose_blocks,
     anchors,
+    dense_clouds,
 )  # all that refers to a session

@@ -218,10 +218,10 @@ def test_a_block_that_was_damaged_is_found(store: Store, key: int, harm: str) ->
 
 def test_a_store_of_the_version_before_is_opened_and_keeps_its_rows_for_a_day(store: Store, key: int) -> None:
     """Replicas of the version before know rows alone."""
-    migrate(store.engine, 3)
+    migrate(store.engine, 4)
     migrate(store.engine)
     with store.reading() as connection:
-        since_s = float(connection.execute(text("SELECT value FROM meta WHERE key = 'since_4'")).scalar_one())
+        since_s = float(connection.execute(text("SELECT value FROM meta WHERE key = 'since_5'")).scalar_one())
     keeper = BlockKeeper(store, FULL_RATE)
     assert keeper.run(since_s + 86_000.0) == Kept()
     assert keeper.run(since_s + 86_401.0) == Kept(closed=SCANS)
@@ -232,7 +232,7 @@ def test_the_way_back_gives_every_scan_its_row_again(store: Store, key: int) -> 
     size = Catalog(store).sessions()[0].bytes
     before = numbers(store, key), followed(store, key), poses(store, key)
     BlockKeeper(store, FULL_RATE).run(0.0)
-    migrate(store.engine, 3)
+    migrate(store.engine, 4)
     assert count(store, schema.frames) == len(WAY)
     assert Catalog(store).sessions()[0].bytes == size
     migrate(store.engine)
