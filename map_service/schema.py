@@ -169,6 +169,8 @@ anchors = Table(
     _session_key(ondelete="CASCADE"),
     Column("keyframe", Integer, primary_key=True),
     Column("pose", LargeBinary, nullable=False),
+)
+
 # Whole scans of keyframes as their robot has sent them (splitslam.dense_cloud): those that have come.
 dense_clouds = Table(
     "dense_clouds",
