@@ -68,8 +68,15 @@ class BlockKeeper:
                     done, left = done + one, left - 1
             except DataError as error:
                 self._settled.add(key)
-                _log.warning("scans that cannot be read stay as they are", extra=fields(session=key, detail=str(error)))
+                _log.warning(
+                    "scans that cannot be read stay as they are",
+                    extra=fields(session_id=self._name(key), detail=str(error)),
+                )
         return done
+
+    def _name(self, key: int) -> str | None:
+        with self._store.reading() as connection:
+            return connection.execute(select(_s.c.session_id).where(_s.c.id == key)).scalar()
 
     def _due(self, now_s: float) -> list[int]:
         """Sessions to look at. None while services of the version before may still be running: they know rows alone."""
