@@ -22,13 +22,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from sqlalchemy import func, select
+from sqlalchemy import LargeBinary, Text, func, select
 
 from benchmarks.town import FRAME_NS, Robot, round_and_round, straight_on
 from map_service import schema
 from map_service.accounts import SessionAccounts
+from map_service.block_keeping import BlockKeeper
+from map_service.block_warm_up import warm_up_blocks
 from map_service.commits import Committer
-from map_service.config import CommitConfig
+from map_service.config import CommitConfig, PosesConfig
 from map_service.engine import SlamEngine
 from map_service.hello import WIRE_VERSION, SessionRequest, read_hello
 from map_service.pipeline import MapPipeline
@@ -45,12 +47,7 @@ from splitslam.wire import session_pb2 as pb
 
 SPEED_MPS, LAP_M = 1.0, 100.0
 AHEAD = 100  # frames of the store
-_TABLES = {
-    "frames": tuple(schema.frames.c[name] for name in ("pose_keyframe_lidar", "online_map_lidar", "online_map_odom")),
-    "clouds": (schema.clouds.c.cloud,),
-    "factors": (schema.factors.c.payload,),
-    "places": (schema.places.c.descriptor,),
-}
+_POSES = (schema.frames, schema.pose_blocks, schema.anchors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +67,10 @@ class Sample:
     loops: int
     clouds_loaded: int
     rss_mb: float
-    store_mb: float
-    frames_mb: float  # of the store: poses by scan
+    store_mb: float  # pages of the database that hold something
+    poses_mb: float  # of scans: contents of rows, blocks and anchors
+    rest_mb: float  # contents of all else
+    thinned: int  # scans without a pose of their own
     off_m: float  # from the truth
 
 
@@ -93,7 +92,7 @@ class _Engine(SlamEngine):
 class LongSession:
     """One session of `robot` with its store at `url`; `play` goes on from where it stands."""
 
-    def __init__(self, robot: Robot, url: str, way) -> None:
+    def __init__(self, robot: Robot, url: str, way, poses: PosesConfig | None = None) -> None:
         self._robot, self._way = robot, way
         self.store, self._engine, tally = Store(url), _Engine(), Tally()
         hello = pb.Hello(
@@ -108,6 +107,8 @@ class LongSession:
         )
         self._request, self._tally, self.seq = read_hello(hello, codec.CODEC_VERSION), tally, 0
         self._committer = Committer(self.store, CommitConfig(), tally)
+        self._keeper = BlockKeeper(self.store, poses or PosesConfig())
+        warm_up_blocks()
         self.reopen()
 
     def reopen(self) -> None:
@@ -151,11 +152,8 @@ class LongSession:
         self._log.flush(60.0)
         at_start, now = self._way(FRAME_NS * 1e-9), self._way(self.seq * FRAME_NS * 1e-9)
         expected_m = at_start[:3, :3].T @ (now[:3, 3] - at_start[:3, 3])
-        with self.store.reading() as connection:
-            size = {
-                name: sum(int(connection.execute(select(func.sum(func.length(c)))).scalar() or 0) for c in columns)
-                for name, columns in _TABLES.items()
-            }
+        self._keeper.run(time.time(), most=1 << 30)
+        poses, rest = self._contents()
         pipeline = self.pipeline
         return Sample(
             scans=self.seq,
@@ -167,28 +165,53 @@ class LongSession:
             loops=len(pipeline.graph.loops),
             clouds_loaded=pipeline.keyframes.clouds.loaded,
             rss_mb=round(resident_bytes() / 1e6, 1),
-            store_mb=round(sum(size.values()) / 1e6, 3),
-            frames_mb=round(size["frames"] / 1e6, 3),
+            store_mb=round(self._used_bytes() / 1e6, 3),
+            poses_mb=round(poses / 1e6, 3),
+            rest_mb=round(rest / 1e6, 3),
+            thinned=self._thinned(),
             off_m=round(float(np.linalg.norm(position_m - expected_m)), 3),
         )
+
+    def _contents(self) -> tuple[int, int]:
+        """Bytes of texts and blobs: of poses by scan, and of the rest."""
+        size = {}
+        with self.store.reading() as connection:
+            for table in (schema.sessions, *schema.SESSION_TABLES):
+                columns = [c for c in table.columns if isinstance(c.type, LargeBinary | Text)]
+                query = select(*(func.coalesce(func.sum(func.length(c)), 0) for c in columns))
+                size[table] = sum(map(int, connection.execute(query).one())) if columns else 0
+        poses = sum(size[table] for table in _POSES)
+        return poses, sum(size.values()) - poses
+
+    def _used_bytes(self) -> int:
+        with self.store.reading() as connection:
+            pages, free, size = (
+                connection.exec_driver_sql(f"PRAGMA {name}").scalar_one()
+                for name in ("page_count", "freelist_count", "page_size")
+            )
+        return (pages - free) * size
+
+    def _thinned(self) -> int:
+        with self.store.reading() as connection:
+            return int(connection.execute(select(func.sum(schema.pose_blocks.c.thinned))).scalar() or 0)
 
     def close(self) -> None:
         self._engine.close()
         self.store.close()
 
 
-def new_ground(minutes: float, url: str) -> Iterator[Sample]:
+def new_ground(minutes: float, url: str, poses: PosesConfig) -> Iterator[Sample]:
     """A sample a minute."""
     town, way = straight_on(SPEED_MPS)
-    yield from _play(LongSession(Robot(town, way), url, way), [600] * round(minutes))
+    yield from _play(LongSession(Robot(town, way), url, way, poses), [600] * round(minutes))
 
 
-def same_loop(minutes: float, url: str) -> Iterator[Sample]:
+def same_loop(minutes: float, url: str, poses: PosesConfig) -> Iterator[Sample]:
     """A sample a lap; a quarter of the time parked, after the first half."""
     lap = round(LAP_M / SPEED_MPS * 1e9 / FRAME_NS)
     parked_s = (minutes * 30.0, minutes * 45.0)
     town, way = round_and_round(LAP_M, SPEED_MPS, parked_s)
-    yield from _play(LongSession(Robot(town, way), url, way), [lap] * max(2, round(minutes * 600 / lap)))
+    yield from _play(LongSession(Robot(town, way), url, way, poses), [lap] * max(2, round(minutes * 600 / lap)))
 
 
 def _play(session: LongSession, parts: list[int]) -> Iterator[Sample]:
@@ -207,7 +230,8 @@ def verdict(kind: str, samples: list[Sample]) -> dict[str, float]:
         return {
             "keyframes": last.keyframes / lap2.keyframes,
             "store": last.store_mb / lap2.store_mb,
-            "store_without_frames": (last.store_mb - last.frames_mb) / (lap2.store_mb - lap2.frames_mb),
+            "store_without_poses": last.rest_mb / lap2.rest_mb,
+            "poses_bytes_an_hour": (last.poses_mb - lap2.poses_mb) * 1e6 / ((last.seconds - lap2.seconds) / 3600.0),
             "rss": last.rss_mb / lap2.rss_mb,
         }
     half = len(samples) // 2
@@ -225,11 +249,16 @@ def main() -> None:
     parser.add_argument("kind", choices=("new", "loop"))
     parser.add_argument("--minutes", type=float, help="of the session; default 120 and 480")
     parser.add_argument("--out", type=Path, help="JSON of all samples")
+    parser.add_argument("--full-rate-h", type=float, default=PosesConfig().full_rate_h, help="poses.full_rate_h")
+    parser.add_argument("--within-m", type=float, default=PosesConfig().within_m, help="poses.within_m")
     options = parser.parse_args()
+    poses = PosesConfig(full_rate_h=options.full_rate_h, within_m=options.within_m)
     minutes = options.minutes or {"new": 120.0, "loop": 480.0}[options.kind]
     samples, began_s = [], time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        for sample in (new_ground if options.kind == "new" else same_loop)(minutes, f"sqlite:///{folder}/map.db"):
+        for sample in (new_ground if options.kind == "new" else same_loop)(
+            minutes, f"sqlite:///{folder}/map.db", poses
+        ):
             samples.append(sample)
             print(json.dumps(asdict(sample)), file=sys.stderr, flush=True)
     result = {

@@ -26,6 +26,7 @@ from sqlalchemy import (
     Table,
     create_engine,
     event,
+    func,
     insert,
     inspect,
     select,
@@ -74,13 +75,13 @@ def backup(store: Store, path: Path) -> Archived:
             version = migrations.version(source)
             if version != migrations.VERSION:
                 raise InputError(f"store: schema version {version}: this program backs up {migrations.VERSION}")
-            counts = _copy_out(source, target)
+            counts, scans = _copy_out(source, target), _scans(source)
         _sync(part)
         part.rename(path)
         _sync(path.absolute().parent)
     finally:
         part.unlink(missing_ok=True)
-    return Archived(counts["sessions"], counts["frames"], counts["keyframes"], path.stat().st_size)
+    return Archived(counts["sessions"], scans, counts["keyframes"], path.stat().st_size)
 
 
 def restore(store: Store, path: Path, force: bool = False) -> Archived:
@@ -92,7 +93,7 @@ def restore(store: Store, path: Path, force: bool = False) -> Archived:
         raise InputError(f"{path}: no such file")
     try:
         with _file(path, read_only=True) as source:
-            counts = _verify(source, path)
+            counts, scans = _verify(source, path), _scans(source)
             with store.writing() as target:
                 _unhurried(target)
                 names = list(target.execute(select(schema.sessions.c.session_id)).scalars())
@@ -104,7 +105,7 @@ def restore(store: Store, path: Path, force: bool = False) -> Archived:
                 migrations.note_since(target, migrations.since(source))
     except sqlite3.Error as error:
         raise InputError(f"{path}: damaged: {one_line(error)}") from error
-    return Archived(counts["sessions"], counts["frames"], counts["keyframes"], path.stat().st_size)
+    return Archived(counts["sessions"], scans, counts["keyframes"], path.stat().st_size)
 
 
 def _copy_out(source: Connection, target: Connection) -> dict[str, int]:
@@ -159,6 +160,12 @@ def _copy_in(source: Connection, target: Connection) -> None:
                     keys[old] = inserted.inserted_primary_key[0]
             else:
                 target.execute(insert(table), [row | {"session": keys[row["session"]]} for row in rows])
+
+
+def _scans(source: Connection) -> int:
+    """Those that were answered, wherever they lie."""
+    t = schema.sessions
+    return int(source.execute(select(func.coalesce(func.sum(t.c.frames + t.c.rejected), 0))).scalar_one())
 
 
 def _tables(source: Connection) -> Iterator[tuple[Table, list[Column]]]:

@@ -9,12 +9,11 @@ import numpy as np
 from sqlalchemy import Connection, Row, delete, func, null, select
 
 from map_service import schema
-from map_service.rows import unpack_pose
+from map_service.packing import unpack_pose
+from map_service.session_scans import SessionScans
 from map_service.store import Store
 from map_service.types import FactorRecord
 from splitslam.errors import DataError
-
-_PAGE_ROWS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +79,11 @@ class Catalog:
             return delete_session(connection, session_id)
 
     def trajectory(self, key: int) -> Iterator[list[tuple[int, int, np.ndarray]]]:
-        """Chunks of at most 1,000 (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only.
+        """Chunks of (seq, stamp_ns, T_map_lidar (4, 4)) in seq order, mapped frames only.
 
         Raises DataError for rows that do not hold together.
         """
-        f, k = schema.frames, schema.keyframes
+        k = schema.keyframes
         with self._store.reading() as connection:  # one read transaction: poses before and after a loop never mix
             poses = {
                 index: unpack_pose(pose)
@@ -92,16 +91,16 @@ class Catalog:
                     select(k.c.keyframe, k.c.pose_map_lidar).where(k.c.session == key)
                 )
             }
-            query = (
-                select(f.c.seq, f.c.stamp_ns, f.c.keyframe, f.c.pose_keyframe_lidar)
-                .where(f.c.session == key, f.c.rejected == "")
-                .order_by(f.c.seq)
-            )
-            with connection.execute(query.execution_options(yield_per=_PAGE_ROWS)) as rows:
-                for page in rows.partitions():
-                    if lost := next((row.seq for row in page if row.keyframe not in poses), None):
-                        raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
-                    yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
+            for scans in SessionScans(connection, key).pages():
+                page = scans.part(scans.mapped)
+                numbers = page.keyframe.tolist()
+                if lost := next(
+                    (seq for seq, k in zip(page.seq.tolist(), numbers, strict=True) if k not in poses), None
+                ):
+                    raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
+                if len(page):
+                    now = np.array([poses[keyframe] for keyframe in numbers]) @ page.T_keyframe_lidar
+                    yield list(zip(page.seq.tolist(), page.stamp_ns.tolist(), now, strict=True))
 
     def keyframes(self, key: int, first: int = 0, *, dense: bool = False) -> Generator[StoredKeyframe]:
         """Every keyframe from number `first` on with its cloud, one at a time; dense: and its whole scan."""
@@ -142,7 +141,7 @@ def delete_session(connection: Connection, session_id: str) -> Deleted | None:
     """Every row of a session, within a transaction that writes; None: there is none."""
     t = schema.sessions
     # locked: a commit of its owner either comes before all of this or finds nothing to write to
-    query = select(t.c.id, t.c.bytes).where(t.c.session_id == session_id).with_for_update()
+    query = select(t.c.id, t.c.bytes, t.c.frames, t.c.rejected).where(t.c.session_id == session_id).with_for_update()
     row = connection.execute(query).first()
     if row is None:
         return None
@@ -151,4 +150,4 @@ def delete_session(connection: Connection, session_id: str) -> Deleted | None:
         for table in schema.SESSION_TABLES
     }
     connection.execute(delete(t).where(t.c.id == row.id))
-    return Deleted(removed["frames"], removed["keyframes"], row.bytes)
+    return Deleted(row.frames + row.rejected, removed["keyframes"], row.bytes)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sqlalchemy import Engine
+from sqlalchemy import Connection, Engine, func, select
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import (
     ArgumentError,
@@ -28,6 +28,7 @@ from splitslam.logs import fields
 _EXPECTED = "expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
 _OURS = (IntegrityError, DataError, ProgrammingError, NotSupportedError)  # trying again cannot help
 _TRY_EVERY_S = 0.25
+_LOCK = 0x53504C55  # PostgreSQL's advisory lock of the replica that keeps the house
 
 _log = logging.getLogger(__name__)
 
@@ -121,6 +122,13 @@ def reading(engine: Engine) -> Engine:
     from map_service import postgres
 
     return postgres.reading(engine)
+
+
+def alone(connection: Connection) -> bool:
+    """Is no other replica keeping the house? Holds until the transaction, which writes, ends."""
+    if connection.dialect.name == "sqlite":  # has one writer at a time anyway
+        return True
+    return bool(connection.execute(select(func.pg_try_advisory_xact_lock(_LOCK))).scalar())
 
 
 def _may_pass(engine: Engine, error: DBAPIError) -> bool:

@@ -1,4 +1,4 @@
-"""What a store needs now and then: finished sessions of before deleted, its size measured."""
+"""What a store needs now and then: old sessions deleted, old scans put into blocks, its size measured."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import logging
 import time
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, func, or_, select, update
+from sqlalchemy import and_, or_, select, update
 
 from map_service import schema
+from map_service.block_keeping import BlockKeeper
 from map_service.catalog import Catalog, delete_session
 from map_service.config import RetentionConfig, ServiceConfig
-from map_service.database import StoreError
+from map_service.database import StoreError, alone
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store
 from splitslam.logs import fields
 from splitslam.metrics import OTHER
 
 DAY_S = 86_400.0
-_LOCK = 0x53504C55  # PostgreSQL's advisory lock of the replica that deletes
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +56,7 @@ class Retention:
         """A transaction for each: commits of running sessions come in between."""
         t = schema.sessions
         with self._store.writing() as connection:
-            if not _alone(connection):
+            if not alone(connection):
                 return None
             # finished under a service that did not note when: it counts from now
             unknown = and_(t.c.finished.is_(True), t.c.finished_s.is_(None))
@@ -79,20 +79,14 @@ class Retention:
         return or_(*rules)
 
 
-def _alone(connection: Connection) -> bool:
-    """SQLite has one writer at a time anyway."""
-    if connection.dialect.name == "sqlite":
-        return True
-    return bool(connection.execute(select(func.pg_try_advisory_xact_lock(_LOCK))).scalar())
-
-
 class Housekeeper:
-    """The service's own: runs both every `housekeeping_s` in a thread beside the event loop."""
+    """The service's own: does all three every `housekeeping_s` in a thread beside the event loop."""
 
     def __init__(self, store: Store, config: ServiceConfig, metrics: ServiceMetrics) -> None:
         self._store, self._config, self._metrics = store, config, metrics
         self._catalog = Catalog(store)
         self._retention = Retention(store, config.retention)
+        self._blocks = BlockKeeper(store, config.poses)
 
     async def run(self) -> None:
         """Until cancelled."""
@@ -105,6 +99,9 @@ class Housekeeper:
             for removed in self._retention.run(time.time()):
                 self._metrics.retention.inc()
                 self._metrics.retention_bytes.inc(by=removed.bytes)
+            kept = self._blocks.run(time.time())
+            self._metrics.scans_closed.inc(by=kept.closed)
+            self._metrics.scans_thinned.inc(by=kept.thinned)
             self._measure()
         except StoreError as error:
             _log.warning("housekeeping failed", extra=fields(detail=str(error)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from sqlalchemy import Connection, Executable, Row, select
 from map_service import migrations, schema
 from map_service.cloud import decode_cloud
 from map_service.history import unpack_poses
+from map_service.scans import NO_KEYFRAME
+from map_service.session_scans import SessionScans
 from map_service.store import Store
 from splitslam import dense_cloud
 from splitslam.errors import DataError
@@ -21,7 +24,7 @@ from splitslam.wire import pose_pb2 as pb
 
 _POSE_BYTES = 56
 _ROWS = 1000
-_CLOUDS = 50
+_CLOUDS = 50  # or blocks
 _DENSE_CLOUDS = 16
 _UNIT = 1e-6
 
@@ -60,7 +63,7 @@ def _sqlite(store: Store) -> Iterator[str]:
 def _session(connection: Connection, row: Row, since_s: float, seen: Seen) -> Iterator[str]:
     counts = {"frames": 0, "rejected": 0, "keyframes": 0, "loops": 0, "gnss_factors": 0}
     keyframes = yield from _keyframes(connection, row.id, counts)
-    yield from _frames(connection, row, keyframes, row.opened_s >= since_s, counts)
+    yield from _scans(connection, row, keyframes, row.opened_s >= since_s, counts)
     yield from _factors(connection, row.id, len(keyframes), counts)
     yield from _places(connection, row.id, keyframes)
     yield from _dense(connection, row.id, keyframes)
@@ -98,29 +101,62 @@ def _keyframes(connection: Connection, key: int, counts: dict[str, int]) -> Any:
     return set(poses)
 
 
-def _frames(
+def _scans(
     connection: Connection, row: Row, keyframes: set[int], holes_noted: bool, counts: dict[str, int]
 ) -> Iterator[str]:
-    f, h = schema.frames, schema.holes
+    h = schema.holes
     query = select(h.c.seq, h.c.follows_seq).where(h.c.session == row.id)
     holes: dict[int, int] = {hole.seq: hole.follows_seq for hole in _rows(connection, query)}
     last = 0
-    query = select(f).where(f.c.session == row.id).order_by(f.c.seq)
-    for frame in _rows(connection, query):
-        if frame.seq != last + 1 and holes_noted and holes.get(frame.seq) != last:
-            yield f"frames {last + 1} to {frame.seq - 1} are missing, and the robot did not say so"
-        last = frame.seq
-        if frame.rejected:
+    for seq, keyframe, problems in chain(_in_blocks(connection, row.id), _in_rows(connection, row.id)):
+        if keyframe is None:
+            yield from problems
+            last = seq
+            continue
+        if seq != last + 1 and holes_noted and holes.get(seq) != last:
+            yield f"frames {last + 1} to {seq - 1} are missing, and the robot did not say so"
+        last = seq
+        yield from problems
+        if keyframe == NO_KEYFRAME:
             counts["rejected"] += 1
             continue
         counts["frames"] += 1
-        if frame.keyframe not in keyframes:
-            yield f"frame {frame.seq} refers to keyframe {frame.keyframe}, which is not there"
-        for name in ("pose_keyframe_lidar", "online_map_lidar", "online_map_odom"):
-            if problem := _pose_problem(getattr(frame, name)):
-                yield f"frame {frame.seq}: {name}: {problem}"
+        if keyframe not in keyframes:
+            yield f"frame {seq} refers to keyframe {keyframe}, which is not there"
     if last != row.last_seq:
         yield f"the last frame is {last}, its row says {row.last_seq}"
+
+
+def _in_blocks(connection: Connection, key: int) -> Iterator[tuple[int, int | None, list[str]]]:
+    """Of each scan its number, keyframe, and what is wrong; None: not even that is known, also of all before it."""
+    b, known = schema.pose_blocks, SessionScans(connection, key)
+    for block in _rows(connection, select(b).where(b.c.session == key).order_by(b.c.first_seq), _CLOUDS):
+        try:
+            scans = known.decoded(block)
+        except DataError as error:
+            yield block.last_seq, None, [f"block {block.first_seq}: {error}"]
+            continue
+        wrong = []
+        if (scans.seq[0], scans.seq[-1], len(scans)) != (block.first_seq, block.last_seq, block.scans):
+            wrong = [f"block {block.first_seq} holds other frames than its row says"]
+        for seq, keyframe in zip(scans.seq.tolist(), scans.keyframe.tolist(), strict=True):
+            yield seq, keyframe, wrong
+            wrong = []
+
+
+def _in_rows(connection: Connection, key: int) -> Iterator[tuple[int, int | None, list[str]]]:
+    f = schema.frames
+    for frame in _rows(connection, select(f).where(f.c.session == key).order_by(f.c.seq)):
+        if frame.rejected:
+            yield frame.seq, NO_KEYFRAME, []
+            continue
+        wrong = []
+        for name in ("pose_keyframe_lidar", "online_map_lidar", "online_map_odom"):
+            if problem := _pose_problem(getattr(frame, name)):
+                wrong.append(f"frame {frame.seq}: {name}: {problem}")
+        if frame.keyframe is None:
+            wrong.append(f"frame {frame.seq} is on no keyframe")
+        yield frame.seq, frame.keyframe, wrong
 
 
 def _factors(connection: Connection, key: int, keyframes: int, counts: dict[str, int]) -> Iterator[str]:

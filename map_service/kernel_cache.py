@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from map_service.block_warm_up import warm_up_blocks
 from map_service.engine import SlamEngine
 from map_service.settings import PipelineSettings
 from splitslam.compile_count import KernelReport, counted
@@ -13,6 +14,7 @@ def fill() -> KernelReport:
     try:
         with counted() as report:
             engine.warm_up()
+            warm_up_blocks()
     finally:
         engine.close()
     return report

@@ -260,6 +260,16 @@ RETENTION = counter(
     "None for long: `retention` in the configuration.",
 )
 RETENTION_BYTES = counter("splitslam_map_retention_bytes", "What they had stored", "As above.")
+SCANS_CLOSED = counter(
+    "splitslam_map_scans_in_blocks",
+    "Stored scans that moved from rows into blocks of poses",
+    "None while robots drive: a replica of the version before may have run in the last day; else the log.",
+)
+SCANS_THINNED = counter(
+    "splitslam_map_scans_thinned",
+    "Scans older than `poses.full_rate_h` whose pose follows from others' since, within `poses.within_m`",
+    "That is how it should be; 0 with `poses.full_rate_h: 0`.",
+)
 
 VIEWERS = gauge(
     "splitslam_map_viewers",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from sqlalchemy import Column, Connection, Engine, Index, Table, delete, func, insert, inspect, select, text, update
@@ -32,6 +33,7 @@ class Migration:
     tables: tuple[Table, ...] = ()
     columns: tuple[Column, ...] = ()
     indexes: tuple[Index, ...] = ()
+    undo: Callable[[Connection], None] = lambda connection: None  # before what it added is dropped
 
     def add(self, connection: Connection) -> None:
         for table in self.tables:
@@ -43,12 +45,20 @@ class Migration:
             index.create(connection)
 
     def remove(self, connection: Connection) -> None:
+        self.undo(connection)
         for index in self.indexes:
             index.drop(connection)
         for column in self.columns:
             connection.execute(text(f"ALTER TABLE {column.table.name} DROP COLUMN {column.name}"))
         for table in reversed(self.tables):
             table.drop(connection)
+
+
+def _as_rows(connection: Connection) -> None:
+    """Services of before know no blocks."""
+    from map_service.block_keeping import reopen  # reads and writes rows, which the way forward needs not
+
+    reopen(connection)
 
 
 FIRST = 1  # the oldest version that there is a way from
@@ -61,6 +71,7 @@ MIGRATIONS = (
         indexes=tuple(schema.frames.indexes),
     ),
     Migration(4, tables=(schema.dense_clouds,)),
+    Migration(5, tables=(schema.pose_blocks, schema.anchors), undo=_as_rows),
 )
 VERSION = MIGRATIONS[-1].version
 

@@ -11,7 +11,7 @@ from map_service import schema
 from map_service.event_messages import map_move
 from map_service.history import unpack_poses
 from map_service.messages import transform_to_wire
-from map_service.rows import unpack_pose
+from map_service.packing import unpack_pose
 from splitslam.wire import pose_pb2 as pb
 
 _PAGE = 500

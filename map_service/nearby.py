@@ -11,8 +11,9 @@ from sqlalchemy import Connection, func, select
 
 from map_service import schema
 from map_service.cloud import decode_cloud
+from map_service.packing import unpack_pose
 from map_service.pose_at import NotKnownError
-from map_service.rows import unpack_pose
+from map_service.session_scans import SessionScans
 from map_service.store import Store
 from splitslam.errors import DataError, InputError
 from splitslam.maps import MapPiece
@@ -60,12 +61,10 @@ def around(store: Store, key: int, centre_map: Array | None, radius_m: float) ->
 
 
 def _newest(connection: Connection, key: int, poses: dict[int, Array]) -> Array:
-    f = schema.frames
-    query = select(f.c.keyframe, f.c.pose_keyframe_lidar).where(f.c.session == key, f.c.rejected == "")
-    row = connection.execute(query.order_by(f.c.seq.desc()).limit(1)).first()
-    if row is None:
+    scan = SessionScans(connection, key).newest_mapped()
+    if scan is None:
         raise NotKnownError("the session has no scan")
-    return (poses[row.keyframe] @ unpack_pose(row.pose_keyframe_lidar))[:3, 3]
+    return (poses[scan.keyframe] @ scan.T_keyframe_lidar)[:3, 3]
 
 
 def _range_m(robot_file: str) -> float:

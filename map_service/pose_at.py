@@ -9,12 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Row, func, select
+from sqlalchemy import Connection, func, select
 
 from map_service import schema
 from map_service.history import unpack_poses
-from map_service.rows import unpack_covariance, unpack_pose
+from map_service.packing import unpack_pose
 from map_service.scan_poses import Versions, versions
+from map_service.scans import StoredScan
+from map_service.session_scans import SessionScans
 from map_service.types import State
 from splitslam import se3
 from splitslam.errors import DataError
@@ -35,7 +37,8 @@ class NotKnownError(Exception):
 class PoseAt:
     """T_map_lidar (4, 4) at a moment between scans seq_before and seq_after; covariance (6, 6) as they were answered.
 
-    map_version: the one it is in; it can be asked for in oldest_version to newest_version.
+    map_version: the one it is in; it can be asked for in oldest_version to newest_version. thinned: a scan it lies
+    between has no pose of its own any more.
     """
 
     T_map_lidar: Array
@@ -46,6 +49,7 @@ class PoseAt:
     oldest_version: int
     seq_before: int
     seq_after: int
+    thinned: bool
 
 
 class SessionPoses:
@@ -53,6 +57,7 @@ class SessionPoses:
 
     def __init__(self, connection: Connection, key: int) -> None:
         self._connection, self._key = connection, key
+        self._scans = SessionScans(connection, key)
         s, v = schema.sessions, schema.map_versions
         newest = connection.execute(select(s.c.map_version).where(s.c.id == key)).scalar()
         kept = select(func.min(v.c.version)).where(v.c.session == key, v.c.poses.is_not(None))
@@ -74,21 +79,19 @@ class SessionPoses:
         ratio = (stamp_ns - before.stamp_ns) / span_ns if span_ns else 0.0
         return PoseAt(
             se3.interpolate(T_before, T_after, ratio),
-            _between(unpack_covariance(before.covariance), unpack_covariance(after.covariance), ratio),
+            _between(before.covariance, after.covariance, ratio),
             min((State(before.state), State(after.state)), key=_WORST_FIRST.index),
             wanted,
             self.newest_version,
             self.oldest_version,
             before.seq,
             after.seq,
+            before.thinned or after.thinned,
         )
 
-    def _around(self, stamp_ns: int) -> tuple[Row, Row]:
+    def _around(self, stamp_ns: int) -> tuple[StoredScan, StoredScan]:
         """The scans before and after a moment; twice the same when it is a scan's."""
-        f = schema.frames
-        mapped = select(f).where(f.c.session == self._key, f.c.rejected == "").limit(1)
-        before = self._connection.execute(mapped.where(f.c.stamp_ns <= stamp_ns).order_by(f.c.stamp_ns.desc())).first()
-        after = self._connection.execute(mapped.where(f.c.stamp_ns >= stamp_ns).order_by(f.c.stamp_ns)).first()
+        before, after = self._scans.before(stamp_ns), self._scans.since(stamp_ns)
         if before is None or after is None:
             ends = f"begins at {after.stamp_ns}" if after else f"ends at {before.stamp_ns}" if before else "has no scan"
             raise NotKnownError(f"stamp_ns {stamp_ns}: the session {ends}")
@@ -96,22 +99,22 @@ class SessionPoses:
             raise NotKnownError(f"stamp_ns {stamp_ns}: no scan between {before.stamp_ns} and {after.stamp_ns}")
         return before, after
 
-    def _now(self, frame: Row) -> Array:
+    def _now(self, frame: StoredScan) -> Array:
         k = schema.keyframes
         query = select(k.c.pose_map_lidar).where(k.c.session == self._key, k.c.keyframe == frame.keyframe)
-        return unpack_pose(self._connection.execute(query).scalar()) @ unpack_pose(frame.pose_keyframe_lidar)
+        return unpack_pose(self._connection.execute(query).scalar()) @ frame.T_keyframe_lidar
 
-    def _then(self, frame: Row, version: int) -> Array:
+    def _then(self, frame: StoredScan, version: int) -> Array:
         """As answered, for a frame of that very version; by its keyframe as the version ended, for an earlier one."""
         poses = self._poses_of(version)
         if frame.seq >= self._versions.first_seq(version + 1):
             first = self._versions.of(frame.seq)
             raise NotKnownError(f"map_version {version}: scan {frame.seq} is first known in version {first}")
         if self._versions.of(frame.seq) == version:
-            return unpack_pose(frame.online_map_lidar)
+            return frame.T_map_lidar
         if frame.keyframe >= len(poses):
             raise DataError("corrupt", f"frame {frame.seq} is on a keyframe that version {version} has not")
-        return poses[frame.keyframe] @ unpack_pose(frame.pose_keyframe_lidar)
+        return poses[frame.keyframe] @ frame.T_keyframe_lidar
 
     def _poses_of(self, version: int) -> Array:
         """(n, 4, 4) T_map_lidar of the keyframes as a version ended."""

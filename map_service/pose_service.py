@@ -89,6 +89,7 @@ class PoseFront(StoreFront, rpc.PoseServiceServicer):
             oldest_map_version=found.oldest_version,
             seq_before=found.seq_before,
             seq_after=found.seq_after,
+            thinned=found.thinned,
         )
 
     async def LocalMap(

@@ -9,16 +9,10 @@ from sqlalchemy import BigInteger, Connection, Delete, Table, bindparam, delete,
 
 from map_service import schema
 from map_service.history import history_bytes
+from map_service.packing import COVARIANCE_BYTES, POSE_BYTES, pack_all, pack_covariances, pack_pose
 from map_service.types import Commit
-from splitslam import se3
-from splitslam.errors import DataError
 
-_POSE_BYTES = 7 * 8
-_FAR = 1e12
-_LOWER = np.tril_indices(6)
-_FACTOR_SCALE, _FLOAT16_MAX = 1e3, 65504.0  # sigmas from 6e-11 to 65 rad or m
-_COVARIANCE_BYTES = len(_LOWER[0]) * 2
-_FRAME_ROW_BYTES = 3 * _POSE_BYTES + _COVARIANCE_BYTES + 40
+FRAME_ROW_BYTES = 3 * POSE_BYTES + COVARIANCE_BYTES + 40
 
 
 def _delete(table: Table) -> Delete:
@@ -79,89 +73,16 @@ class SessionCommit:
             sum(len(k.cloud or b"") + 56 for k in self.commit.keyframes)
             + sum(len(f.payload) for f in self.commit.factors)
             + sum(len(descriptor) for _, descriptor in self.commit.places)
-            + _FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
+            + FRAME_ROW_BYTES * (len(self.commit.frames) + len(self.rejected))
             + history_bytes([h.what for h in self.commit.happened], self.events)
         )
-
-
-def pack_pose(T: np.ndarray) -> bytes:
-    """(4, 4) -> 56 bytes: x y z, qx qy qz qw, little-endian float64."""
-    return np.concatenate([T[:3, 3], se3.quat_from_matrix(T[:3, :3])]).astype("<f8").tobytes()
-
-
-def unpack_pose(data: bytes | None) -> np.ndarray:
-    """56 bytes -> (4, 4). Raises DataError("corrupt") for what cannot be a pose."""
-    if data is None or len(data) != _POSE_BYTES:
-        raise DataError("corrupt", f"a pose of {0 if data is None else len(data)} bytes")
-    values = np.frombuffer(data, "<f8")
-    if not np.abs(values).max() < _FAR:  # NaN as well
-        raise DataError("corrupt", "a pose that is nowhere")
-    if not values[3:].any():
-        raise DataError("corrupt", "a pose without a rotation")
-    return se3.from_quat(values[:3], values[3:])
-
-
-def pack_covariance(covariance: np.ndarray | None) -> bytes | None:
-    """(6, 6) -> 42 bytes: its Cholesky factor's lower triangle in mrad and mm, row by row, little-endian float16.
-
-    None for what is no covariance. A factor, so that rounding cannot make a direction of negative variance.
-    """
-    if covariance is None or not np.isfinite(covariance).all():
-        return None
-    try:
-        factor = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:  # known to rounding along some direction
-        variances, axes = np.linalg.eigh(covariance)
-        factor = np.linalg.qr((axes * np.sqrt(np.maximum(variances, 0.0))).T).R.T
-    return np.clip(factor[_LOWER] * _FACTOR_SCALE, -_FLOAT16_MAX, _FLOAT16_MAX).astype("<f2").tobytes()
-
-
-def unpack_covariance(data: bytes | None) -> np.ndarray | None:
-    """42 bytes -> (6, 6), each entry to 2e-3 of its two sigmas. Raises DataError("corrupt")."""
-    if data is None:
-        return None
-    if len(data) != _COVARIANCE_BYTES:
-        raise DataError("corrupt", f"a covariance of {len(data)} bytes")
-    factor = np.zeros((6, 6))
-    factor[_LOWER] = np.frombuffer(data, "<f2").astype(float) / _FACTOR_SCALE
-    if not np.isfinite(factor).all():
-        raise DataError("corrupt", "a covariance without numbers")
-    return factor @ factor.T
 
 
 def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
     """Everything a commit brings; the session's own row has been advanced before."""
     commit = entry.commit
     new_keyframes = {k.index: k for k in commit.keyframes}  # one that comes again replaces the one before
-    frame_rows = [
-        {
-            "session": key,
-            "seq": f.seq,
-            "stamp_ns": f.stamp_ns,
-            "state": int(f.state),
-            "keyframe": f.keyframe,
-            "pose_keyframe_lidar": pack_pose(f.T_keyframe_lidar),
-            "online_map_lidar": pack_pose(f.T_map_lidar_online),
-            "online_map_odom": pack_pose(entry.T_map_odom[f.seq]),
-            "rejected": "",
-            "covariance": pack_covariance(entry.covariance.get(f.seq)),
-        }
-        for f in commit.frames
-    ] + [
-        {
-            "session": key,
-            "seq": seq,
-            "stamp_ns": stamp_ns,
-            "state": 0,
-            "keyframe": None,
-            "pose_keyframe_lidar": None,
-            "online_map_lidar": None,
-            "online_map_odom": None,
-            "rejected": reason[:64],
-            "covariance": None,
-        }
-        for seq, stamp_ns, reason in entry.rejected
-    ]
+    frame_rows = _mapped_rows(key, entry) + _rejected_rows(key, entry)
     keyframe_rows = [
         {
             "session": key,
@@ -191,6 +112,39 @@ def insert_rows(connection: Connection, key: int, entry: SessionCommit) -> None:
     if commit.keyframe_poses:
         moved = [{"key": key, "number": index, "pose": pack_pose(T)} for index, T in commit.keyframe_poses]
         connection.execute(_MOVE_KEYFRAME, moved)
+
+
+def _mapped_rows(key: int, entry: SessionCommit) -> list[dict[str, object]]:
+    frames = entry.commit.frames
+    if not frames:
+        return []
+    n, odom = len(frames), [entry.T_map_odom[f.seq] for f in frames]
+    packed = pack_all(np.array([f.T_keyframe_lidar for f in frames] + [f.T_map_lidar_online for f in frames] + odom))
+    poses = zip(packed[:n], packed[n : 2 * n], packed[2 * n :], strict=True)
+    covariances = pack_covariances([entry.covariance.get(f.seq) for f in frames])
+    return [
+        {
+            "session": key,
+            "seq": f.seq,
+            "stamp_ns": f.stamp_ns,
+            "state": int(f.state),
+            "keyframe": f.keyframe,
+            "pose_keyframe_lidar": keyframe_lidar,
+            "online_map_lidar": map_lidar,
+            "online_map_odom": map_odom,
+            "rejected": "",
+            "covariance": covariance,
+        }
+        for f, (keyframe_lidar, map_lidar, map_odom), covariance in zip(frames, poses, covariances, strict=True)
+    ]
+
+
+def _rejected_rows(key: int, entry: SessionCommit) -> list[dict[str, object]]:
+    nothing = dict.fromkeys(("keyframe", "pose_keyframe_lidar", "online_map_lidar", "online_map_odom", "covariance"))
+    return [
+        {"session": key, "seq": seq, "stamp_ns": stamp_ns, "state": 0, "rejected": reason[:64], **nothing}
+        for seq, stamp_ns, reason in entry.rejected
+    ]
 
 
 def _make_room(connection: Connection, key: int, indices: list[int]) -> None:

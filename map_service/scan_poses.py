@@ -12,7 +12,7 @@ from sqlalchemy import Connection, select
 from map_service import schema
 from map_service.messages import transform_from_wire, transform_to_wire
 from map_service.pose_track import TrackedScan
-from map_service.rows import unpack_covariance, unpack_pose
+from map_service.session_scans import SessionScans
 from splitslam import se3
 from splitslam.errors import DataError, InputError
 from splitslam.robot import robot_from_yaml
@@ -88,33 +88,28 @@ def stored_scans(
     connection: Connection, key: int, session_id: str, after_seq: int, limit: int, T_lidar_body: Array
 ) -> list[TrackedScan]:
     """The next frames after `after_seq` as they were answered, at most `limit`. Raises DataError."""
-    f, k = schema.frames, schema.keyframes
-    query = (
-        select(f, k.c.seq.label("keyframe_seq"))
-        .join_from(f, k, (k.c.session == f.c.session) & (k.c.keyframe == f.c.keyframe), isouter=True)
-        .where(f.c.session == key, f.c.seq > after_seq)
-        .order_by(f.c.seq)
-        .limit(limit)
-    )
-    rows = connection.execute(query).all()
-    known = versions(connection, key)
+    found = SessionScans(connection, key).after(after_seq, limit)
+    if not found:
+        return []
+    k, known = schema.keyframes, versions(connection, key)
+    among = select(k.c.seq).where(k.c.session == key, k.c.seq.between(found[0].seq, found[-1].seq))
+    keyframes = set(connection.execute(among).scalars())
     scans: list[TrackedScan] = []
-    for row in rows:
-        if row.rejected:
-            scans.append(TrackedScan(row.seq, None))
+    for scan in found:
+        if scan.rejected:
+            scans.append(TrackedScan(scan.seq, None))
             continue
-        T_map_lidar = unpack_pose(row.online_map_lidar)
-        covariance = unpack_covariance(row.covariance)
         pose = pb.ScanPose(
             session_id=session_id,
-            seq=row.seq,
-            stamp_ns=row.stamp_ns,
-            pose_map_lidar=transform_to_wire(T_map_lidar),
-            pose_map_body=transform_to_wire(T_map_lidar @ T_lidar_body),
-            covariance=() if covariance is None else covariance.ravel().tolist(),
-            state=row.state,
-            map_version=known.of(row.seq),
-            keyframe=row.keyframe_seq == row.seq,
+            seq=scan.seq,
+            stamp_ns=scan.stamp_ns,
+            pose_map_lidar=transform_to_wire(scan.T_map_lidar),
+            pose_map_body=transform_to_wire(scan.T_map_lidar @ T_lidar_body),
+            covariance=() if scan.covariance is None else scan.covariance.ravel().tolist(),
+            state=scan.state,  # type: ignore[arg-type]
+            map_version=known.of(scan.seq),
+            keyframe=scan.seq in keyframes,
+            thinned=scan.thinned,
         )
-        scans.append(TrackedScan(row.seq, pose))
+        scans.append(TrackedScan(scan.seq, pose))
     return scans

@@ -60,7 +60,8 @@ sessions = Table(
     sqlite_autoincrement=True,
 )
 
-# Poses are 7 little-endian float64: x y z, qx qy qz qw. A rejected frame has its reason and no poses.
+# The newest of a session. Poses are 7 little-endian float64: x y z, qx qy qz qw. A rejected frame has its reason and no
+# poses.
 frames = Table(
     "frames",
     metadata,
@@ -73,7 +74,7 @@ frames = Table(
     Column("online_map_lidar", LargeBinary),
     Column("online_map_odom", LargeBinary),
     Column("rejected", String(64), nullable=False),
-    Column("covariance", LargeBinary),  # of the answer, as rows.pack_covariance has it
+    Column("covariance", LargeBinary),  # of the answer, as packing.pack_covariance has it
     Index("frames_by_stamp", "session", "stamp_ns"),
 )
 
@@ -146,6 +147,30 @@ events = Table(
     Column("content", LargeBinary, nullable=False),
 )
 
+# Scans older than those in `frames`, many in one (map_service/block_encoding.py). Stamps: of the first and the last one
+# that were mapped; null: none was. thinned: how many have no pose of their own any more; null: every scan has one.
+pose_blocks = Table(
+    "pose_blocks",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("first_seq", BigInteger, primary_key=True),
+    Column("last_seq", BigInteger, nullable=False),
+    Column("first_stamp_ns", BigInteger),
+    Column("last_stamp_ns", BigInteger),
+    Column("scans", Integer, nullable=False),
+    Column("thinned", Integer),
+    Column("content", LargeBinary, nullable=False),
+)
+
+# Where the map had a keyframe when the first scan of a block was told by it. Blocks refer to it, so it never changes.
+anchors = Table(
+    "anchors",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("keyframe", Integer, primary_key=True),
+    Column("pose", LargeBinary, nullable=False),
+)
+
 # Whole scans of keyframes as their robot has sent them (splitslam.dense_cloud): those that have come.
 dense_clouds = Table(
     "dense_clouds",
@@ -164,5 +189,7 @@ SESSION_TABLES = (
     places,
     map_versions,
     events,
+    pose_blocks,
+    anchors,
     dense_clouds,
 )  # all that refers to a session

@@ -13,6 +13,7 @@ import grpc
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
+from map_service.block_warm_up import warm_up_blocks
 from map_service.config import ServiceConfig
 from map_service.dense_service import SERVICE as DENSE_SERVICE
 from map_service.dense_service import DenseFront
@@ -87,6 +88,7 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
             starting.cancel()
             return
         starting.result()
+        await asyncio.to_thread(warm_up_blocks)
         await server.start()
         if local is not None:
             await local.start()

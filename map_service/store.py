@@ -21,7 +21,9 @@ from map_service.clouds import CloudsAwayError
 from map_service.database import StoreError, open_engine, reading, store_errors
 from map_service.event_messages import opened_event
 from map_service.history import insert_events, insert_versions
-from map_service.rows import SessionCommit, insert_rows, unpack_covariance, unpack_pose
+from map_service.packing import unpack_pose
+from map_service.rows import SessionCommit, insert_rows
+from map_service.session_scans import SessionScans
 from map_service.types import FactorRecord, KeyframeRecord, Snapshot
 
 _CLOUDS_AT_ONCE = 256
@@ -251,22 +253,20 @@ class Store:
 
     def answers(self, key: int, *, last: int = 0, seq: int = 0) -> list[StoredAnswer]:
         """The newest `last` answers, or the one of frame `seq`; in seq order."""
-        t = schema.frames
-        query = select(t).where(t.c.session == key).order_by(t.c.seq.desc())
-        query = query.where(t.c.seq == seq) if seq else query.limit(last)
         with self.reading() as connection:
-            rows = connection.execute(query).all()
+            scans = SessionScans(connection, key)
+            found = scans.newest(last) if not seq else [one] if (one := scans.one(seq)) else []
         return [
             StoredAnswer(
-                row.seq,
-                row.stamp_ns,
-                row.state,
-                None if row.rejected else unpack_pose(row.online_map_lidar),
-                None if row.rejected else unpack_pose(row.online_map_odom),
-                row.rejected,
-                unpack_covariance(row.covariance),
+                scan.seq,
+                scan.stamp_ns,
+                scan.state,
+                None if scan.rejected else scan.T_map_lidar,
+                None if scan.rejected else scan.T_map_odom,
+                scan.rejected,
+                scan.covariance,
             )
-            for row in reversed(rows)
+            for scan in found
         ]
 
 

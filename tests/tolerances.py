@@ -210,3 +210,12 @@ LOCK_STEP_S = 5e-5
 
 # What is drawn against what was answered: float32 at ten metres, and a quaternion in between.
 VIEW_M = 1e-5
+
+# Blocks of scans: a driving robot's at 0.1 mm, answers and all (210 bytes in a row of its own); 4,096 scans of a
+# parked one, thinned. Stamps of thinned scans are told by their numbers, to as much as a scan comes late here.
+BLOCK_BYTES_A_SCAN = 14.0
+PARKED_BLOCK_BYTES = 300
+STAMP_OF_THINNED_S = 1e-4
+# A scan that is read from a block at full rate: half a step of 0.1 mm an axis; its answer, which is held, twice one.
+BLOCK_POSE_M = 1e-4
+BLOCK_ANSWER_M = 3e-4

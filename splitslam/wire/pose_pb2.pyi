@@ -36,7 +36,7 @@ class WatchPosesRequest(_message.Message):
     def __init__(self, sessions: _Optional[_Union[SessionSelection, _Mapping]] = ..., cursor: _Optional[str] = ..., after_seq: _Optional[_Mapping[str, int]] = ..., from_start: bool = ...) -> None: ...
 
 class ScanPose(_message.Message):
-    __slots__ = ("session_id", "seq", "stamp_ns", "pose_map_lidar", "pose_map_body", "covariance", "state", "map_version", "keyframe")
+    __slots__ = ("session_id", "seq", "stamp_ns", "pose_map_lidar", "pose_map_body", "covariance", "state", "map_version", "keyframe", "thinned")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     SEQ_FIELD_NUMBER: _ClassVar[int]
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
@@ -46,6 +46,7 @@ class ScanPose(_message.Message):
     STATE_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     KEYFRAME_FIELD_NUMBER: _ClassVar[int]
+    THINNED_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     seq: int
     stamp_ns: int
@@ -55,7 +56,8 @@ class ScanPose(_message.Message):
     state: _types_pb2.TrackingState
     map_version: int
     keyframe: bool
-    def __init__(self, session_id: _Optional[str] = ..., seq: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., pose_map_body: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., state: _Optional[_Union[_types_pb2.TrackingState, str]] = ..., map_version: _Optional[int] = ..., keyframe: bool = ...) -> None: ...
+    thinned: bool
+    def __init__(self, session_id: _Optional[str] = ..., seq: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., pose_map_body: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., state: _Optional[_Union[_types_pb2.TrackingState, str]] = ..., map_version: _Optional[int] = ..., keyframe: bool = ..., thinned: bool = ...) -> None: ...
 
 class KeyframePose(_message.Message):
     __slots__ = ("keyframe", "seq", "stamp_ns", "pose_map_lidar")
@@ -118,7 +120,7 @@ class PoseAtRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., stamp_ns: _Optional[int] = ..., map_version: _Optional[int] = ...) -> None: ...
 
 class PoseAtResponse(_message.Message):
-    __slots__ = ("pose_map_lidar", "pose_map_body", "covariance", "state", "map_version", "newest_map_version", "oldest_map_version", "seq_before", "seq_after")
+    __slots__ = ("pose_map_lidar", "pose_map_body", "covariance", "state", "map_version", "newest_map_version", "oldest_map_version", "seq_before", "seq_after", "thinned")
     POSE_MAP_LIDAR_FIELD_NUMBER: _ClassVar[int]
     POSE_MAP_BODY_FIELD_NUMBER: _ClassVar[int]
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
@@ -128,6 +130,7 @@ class PoseAtResponse(_message.Message):
     OLDEST_MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     SEQ_BEFORE_FIELD_NUMBER: _ClassVar[int]
     SEQ_AFTER_FIELD_NUMBER: _ClassVar[int]
+    THINNED_FIELD_NUMBER: _ClassVar[int]
     pose_map_lidar: _types_pb2.Transform
     pose_map_body: _types_pb2.Transform
     covariance: _containers.RepeatedScalarFieldContainer[float]
@@ -137,7 +140,8 @@ class PoseAtResponse(_message.Message):
     oldest_map_version: int
     seq_before: int
     seq_after: int
-    def __init__(self, pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., pose_map_body: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., state: _Optional[_Union[_types_pb2.TrackingState, str]] = ..., map_version: _Optional[int] = ..., newest_map_version: _Optional[int] = ..., oldest_map_version: _Optional[int] = ..., seq_before: _Optional[int] = ..., seq_after: _Optional[int] = ...) -> None: ...
+    thinned: bool
+    def __init__(self, pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., pose_map_body: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., state: _Optional[_Union[_types_pb2.TrackingState, str]] = ..., map_version: _Optional[int] = ..., newest_map_version: _Optional[int] = ..., oldest_map_version: _Optional[int] = ..., seq_before: _Optional[int] = ..., seq_after: _Optional[int] = ..., thinned: bool = ...) -> None: ...
 
 class LocalMapRequest(_message.Message):
     __slots__ = ("session_id", "pose_map_lidar", "radius_m", "voxel_m", "max_points")

@@ -35,7 +35,7 @@ def test_a_ray_passes_the_cells_that_a_line_passes(seed: int) -> None:
     stops = rng.uniform(0.3, 1.0, 8)
     for end, stop in zip(ends, stops, strict=True):
         marks, counts = blank()
-        trace_rays(sensor, end[None], np.array([stop]), FRAME, np.zeros(SHAPE, np.float32), marks, counts, 3)
+        trace_rays(sensor, (sensor + stop * (end - sensor))[None], FRAME, np.zeros(SHAPE, np.float32), marks, counts, 3)
         found = {(int(i), int(j)) for i, j in np.argwhere(counts[MISS, 1])}
         expected = cells_naively(sensor, end, stop)
         assert len(found ^ expected) <= 1  # where the line only grazes a cell
@@ -47,7 +47,7 @@ def test_only_what_is_between_the_heights_over_the_ground_counts() -> None:
     ground = np.zeros(SHAPE, np.float32)
     ground[:, 20:] = 1.5  # a step up half way
     sensor, end = np.array([-1.95, 0.05, 3.01]), np.array([1.95, 0.05, 0.01])
-    trace_rays(sensor, end[None], np.ones(1), FRAME, ground, marks, counts, 0)
+    trace_rays(sensor, end[None], FRAME, ground, marks, counts, 0)
     x = FRAME[0] + (np.arange(SHAPE[1]) + 0.5) * CELL_M
     over = 3.01 - 3.0 * (x + 1.95) / 3.9 - ground[10]
     for layer, (low, high) in enumerate([(-0.5, 0.2), (0.2, 0.8), (0.8, 1.4), (1.4, 2.0)]):
@@ -61,7 +61,7 @@ def test_a_cell_counts_once_a_view_and_a_hit_is_no_miss() -> None:
     hit = np.array([[0.05, 0.05, 0.5], [0.06, 0.04, 0.7], [50.0, 0.0, 0.0]])
     for view in range(3):
         mark_hits(hit, FRAME, marks, counts, view)
-        trace_rays(sensor, np.array([end, end, end]), np.ones(3), FRAME, ground, marks, counts, view)
+        trace_rays(sensor, np.array([end, end, end]), FRAME, ground, marks, counts, view)
     assert counts[HIT, 1, 10, 20] == 3
     assert counts[HIT].sum() == 3
     assert counts[MISS, 1, 10, 20] == 0
@@ -73,7 +73,7 @@ def test_counts_stay_at_their_largest() -> None:
     counts[:] = FULL
     point = np.array([[0.05, 0.05, 0.5]])
     mark_hits(point, FRAME, marks, counts, 1)
-    trace_rays(np.array([-1.0, 0.05, 0.5]), point, np.ones(1), FRAME, np.zeros(SHAPE, np.float32), marks, counts, 2)
+    trace_rays(np.array([-1.0, 0.05, 0.5]), point, FRAME, np.zeros(SHAPE, np.float32), marks, counts, 2)
     assert (counts == FULL).all()
 
 

@@ -151,7 +151,7 @@ def test_a_session_on_the_same_ground_grows_with_the_ground_and_not_with_time(ci
     assert first.keyframes > 50
     assert second.loops > 0
     assert third.keyframes <= bars.GROWTH_BY_TIME * second.keyframes
-    assert third.store_mb - third.frames_mb <= bars.GROWTH_BY_TIME * (second.store_mb - second.frames_mb)
+    assert third.rest_mb <= bars.GROWTH_BY_TIME * second.rest_mb
     assert max(sample.off_m for sample in (first, second, third)) < bars.SAME_GROUND_OFF_M
     assert len(session.pipeline.frames) <= 2 * AHEAD
     assert session.pipeline.graph.records == []

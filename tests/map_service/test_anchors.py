@@ -11,8 +11,9 @@ from sqlalchemy import select, update
 from map_service import history, schema
 from map_service.catalog import Catalog
 from map_service.integrity import Seen, findings
+from map_service.packing import pack_covariance, unpack_covariance
 from map_service.pose_at import NotKnownError, PoseAt, SessionPoses
-from map_service.rows import SessionCommit, pack_covariance, unpack_covariance
+from map_service.rows import SessionCommit
 from map_service.settings import GraphSettings
 from map_service.store import Store
 from map_service.types import MapAnswer, State

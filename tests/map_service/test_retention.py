@@ -48,7 +48,8 @@ def test_what_is_older_than_its_site_keeps_it_is_deleted_and_reported(store: Sto
     with store.reading() as connection:
         for table in schema.SESSION_TABLES:
             opened = table is schema.events  # that one has been, is all that is known of "running"
-            assert len({row.session for row in connection.execute(table.select())}) == 3 + opened
+            later = table in (schema.pose_blocks, schema.anchors, schema.dense_clouds)  # filled after commits
+            assert len({row.session for row in connection.execute(table.select())}) == (0 if later else 3 + opened)
 
 
 def test_a_session_of_which_nobody_noted_the_end_counts_from_when_it_is_seen(store: Store) -> None:

@@ -198,7 +198,8 @@ def test_a_delete_says_what_it_removed_and_leaves_no_row(store: Store) -> None:
     assert catalog.bytes_by_site() == {"site": total - deleted.bytes}
     with store.reading() as connection:
         for table in schema.SESSION_TABLES:
-            assert {row.session for row in connection.execute(table.select())} == {opened.key}
+            later = table in (schema.pose_blocks, schema.anchors, schema.dense_clouds)  # filled after commits
+            assert {row.session for row in connection.execute(table.select())} == (set() if later else {opened.key})
     assert catalog.delete("r/1") is None
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import grpc
+import numpy as np
 import pytest
 
 from edge_agent.wire import answer
@@ -35,6 +36,15 @@ def wait_until_gone(pids: list[int]) -> list[int]:
 def finish(robot: Robot7, last_seq: int) -> None:
     robot.send(pb.Bye(last_seq=last_seq))
     assert robot.next("finished").mapped == last_seq
+
+
+def ask_all(robot: Robot7, first: int, last: int) -> None:
+    """As many at a time as a robot may have unanswered."""
+    for begin in range(first, last + 1, 10):
+        some = range(begin, min(begin + 10, last + 1))
+        for seq in some:
+            robot.send(frame(seq))
+        assert [robot.next("odometry").pose_map_lidar.tx_m for _ in some] == list(some)
 
 
 def final(last_seq: int) -> list[tuple[int, float]]:
@@ -69,6 +79,33 @@ def test_after_sigkill_of_the_service_a_restart_on_store_and_port_goes_on_and_ma
         assert resumed.ask(frame(seq)).pose_map_lidar.tx_m == seq
     finish(resumed, 60)
     assert operator.poses(session_id) == final(60)
+
+
+def test_after_sigkill_scans_that_had_moved_into_blocks_are_there_once(
+    start_service: Callable[..., Service], connect: Connect, session_id: str
+) -> None:
+    service = start_service(housekeeping_s=0.05)
+    robot = connect(service)
+    moved = "splitslam_map_scans_in_blocks_total"
+    seq = 0
+    while not service.metrics().get(moved):
+        ask_all(robot, seq + 1, seq + 100)
+        seq += 100
+        assert seq < 3000
+    service.kill()
+    assert robot.end() == grpc.StatusCode.UNAVAILABLE
+    service.start()
+    resumed = connect(service)
+    durable = resumed.next("welcome").durable_seq
+    ask_all(resumed, durable + 1, seq)
+    old = resumed.ask(frame(3))
+    assert old.duplicate
+    assert (old.pose_map_lidar.tx_m, old.pose_map_odom.tx_m) == pytest.approx((3.0, 0.5))
+    finish(resumed, seq)
+    operator = Operator(service.address)
+    poses = operator.poses(session_id)
+    operator.close()
+    assert np.array(poses) == pytest.approx(np.array(final(seq)))
 
 
 def test_a_new_stream_goes_on_without_a_rebuild_and_ends_the_old_one(service: Service, connect: Connect) -> None:

@@ -68,11 +68,11 @@ def mark_hits(points, frame, marks, counts, stamp):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def trace_rays(sensor, ends, stops, frame, ground, marks, counts, stamp):
+def trace_rays(sensor, ends, frame, ground, marks, counts, stamp):
     """Counts a miss for each cell that a ray from the sensor passes, in the layer that it passes it in, once a view,
     unless it was hit there.
 
-    ends (N, 3), m; stops (N,): the share of each ray that counts; ground (R, C): its height. frame, marks, counts: as
+    ends (N, 3), m: of what counts of each ray; ground (R, C): its height. frame, marks, counts: as
     in mark_hits. Cell by cell as Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics
     1987, from where a ray enters the grid.
     """
@@ -80,7 +80,7 @@ def trace_rays(sensor, ends, stops, frame, ground, marks, counts, stamp):
     x, y = (sensor[0] - frame[0]) / frame[2], (sensor[1] - frame[1]) / frame[2]
     for k in range(len(ends)):
         dx, dy = (ends[k, 0] - sensor[0]) / frame[2], (ends[k, 1] - sensor[1]) / frame[2]
-        start, stop = 0.0, stops[k]
+        start, stop = 0.0, 1.0
         for at, along, size in ((x, dx, cols), (y, dy, rows)):
             if along != 0.0:
                 first, last = -at / along, (size - at) / along

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from splitslam.errors import InputError
 from splitslam.export.grid.evidence import FREE, OCCUPIED, Evidence
 from splitslam.export.grid.ground import Ground
+from splitslam.export.grid.rays import RayMaker, RaySpool
 from splitslam.export.grid.settings import GridSettings
 from splitslam.export.grid.spool import ViewSpool
 from splitslam.maps import MapPiece
@@ -67,6 +68,8 @@ def write_grid(
             fits_m = cell_m * np.sqrt(rows * columns / _MOST_CELLS)
             raise InputError(f"--resolution {cell_m:g}: {columns} x {rows} cells: expected {fits_m:.2f} m or more")
         ground = Ground(spool)
+        maker = RayMaker(ground, settings)
+        rays = RaySpool(Path(folder) / "rays", map(maker.of, spool.views()))
         with image.open("wb") as file:
             canvas = _Canvas(file, rows, columns)
             parts = [(r, c) for r in range(0, rows, _PART) for c in range(0, columns, _PART)]
@@ -75,8 +78,8 @@ def write_grid(
                 corner: Array = ((low + [c, r]) * cell_m).astype(np.float64)
                 if near := _near(spool.sensors, corner, shape, settings):
                     evidence = Evidence(corner, shape, ground, settings)
-                    for view in spool.views(near):
-                        evidence.add(view)
+                    for seen in rays.rays(near):
+                        evidence.add(seen)
                     canvas.put(evidence.states(), r, c)
                 made(done, len(parts))
     x, y = (low * cell_m).tolist()
