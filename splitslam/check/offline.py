@@ -33,7 +33,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """Everything a check found. streams: by section of the robot file. point_times, imu, table: None where nothing is known.
+    """Everything a check found. streams: by section of the robot file. point_times, imu, table: None where unknown.
 
     recorded_s: length of the part that was looked at.
     """
