@@ -59,8 +59,7 @@ demo: setup ## a made drive through both programs: trajectory, map, report.html
 	@$(BIN)/splitslam demo
 
 test: setup ## every test, the overlay's too; the recordings in ../shared/data or $SPLITSLAM_DATA
-	@$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
-	@$(MAKE) --no-print-directory fpga-test
+	@$(BIN)/python -m tests --workers $(WORKERS)
 
 bounds: setup ## what tests/performance holds the kernels' speed to, taken anew: after a change on purpose, on a quiet machine
 	@$(BIN)/python -m tests.performance

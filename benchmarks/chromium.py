@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,52 @@ _PIPES = (
     "[os.dup2(end, to) for end, to in zip(ends, (3, 4))]; [os.set_inheritable(to, True) for to in (3, 4)]; "
     "os.execv(sys.argv[3], sys.argv[3:])"
 )
+# Before anything of the page runs. What is drawn goes through WebGL 2, what is shown comes by fetch.
+_WATCH = """
+(() => {
+  const seen = window.splitslamSeen = {drawn: [], fresh: [], bytes: 0};
+  let drew = false, shown = 0;
+  for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+    const draw = WebGL2RenderingContext.prototype[name];
+    WebGL2RenderingContext.prototype[name] = function (...args) { drew = true; return draw.apply(this, args); };
+  }
+  const read = ReadableStreamDefaultReader.prototype.read;
+  ReadableStreamDefaultReader.prototype.read = function (...args) {
+    const answer = read.apply(this, args);
+    answer.then(({value}) => { seen.bytes += value?.byteLength ?? 0; }, () => {});
+    return answer;
+  };
+  const frame = now => {
+    if (drew) {
+      seen.drawn.push(now);
+      if (seen.bytes > shown) seen.fresh.push(now);
+      shown = seen.bytes;
+      drew = false;
+    }
+    requestAnimationFrame(frame);
+  };
+  requestAnimationFrame(frame);
+})()
+"""
 _FRAMES = """
 new Promise(done => {
-  const at = []; const until = performance.now() + %d;
-  const next = now => { at.push(now); now < until ? requestAnimationFrame(next) : done(at); };
-  requestAnimationFrame(next);
+  const seen = window.splitslamSeen, before = seen.bytes;
+  seen.drawn.length = seen.fresh.length = 0;
+  setTimeout(() => done({drawn: seen.drawn, fresh: seen.fresh, bytes: seen.bytes - before}), %d);
 })
 """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """What a page has drawn within some time: frames in which it called WebGL to draw. All in s.
+
+    fresh_s: those of them before which the page had received something since the frame before.
+    """
+
+    drawn_s: NDArray[np.float64]
+    fresh_s: NDArray[np.float64]
+    received_bytes: int
 
 
 class ChromiumError(Exception):
@@ -52,6 +92,8 @@ class Chromium:
         self._session = ""
         target = self._call("Target.createTarget", {"url": "about:blank"})["targetId"]
         self._session = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
+        self._call("Page.enable", {})
+        self._call("Page.addScriptToEvaluateOnNewDocument", {"source": _WATCH})
 
     @property
     def pid(self) -> int:
@@ -87,9 +129,11 @@ class Chromium:
             raise ChromiumError(str(answer["exceptionDetails"].get("exception", answer["exceptionDetails"])))
         return answer["result"].get("value")
 
-    def frames_s(self, seconds: float) -> NDArray[np.float64]:
-        """When the page drew a frame, s; of the next so many seconds."""
-        return np.array(self.evaluate(_FRAMES % int(seconds * 1e3))) * 1e-3
+    def frames(self, seconds: float) -> Frames:
+        """Of the next so many seconds. A page that draws nothing is called by its browser 60 times a second all the
+        same: what is counted are frames in which it drew."""
+        seen = self.evaluate(_FRAMES % int(seconds * 1e3))
+        return Frames(np.array(seen["drawn"]) * 1e-3, np.array(seen["fresh"]) * 1e-3, int(seen["bytes"]))
 
     def _call(self, method: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
         number = next(self._numbers)

@@ -29,3 +29,16 @@ def _one_s(pid: int) -> float:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / _TICKS_HZ
     return 0.0
+
+
+def threads_s(pids: Iterable[int]) -> dict[tuple[int, str], float]:
+    """CPU time so far of every thread of processes, by its id and name."""
+    found = {}
+    for pid in pids:
+        with suppress(OSError):
+            for task in Path(f"/proc/{pid}/task").iterdir():
+                with suppress(OSError):
+                    head, _, tail = (task / "stat").read_text().rpartition(")")
+                    fields = tail.split()
+                    found[int(task.name), head.partition("(")[2]] = (int(fields[11]) + int(fields[12])) / _TICKS_HZ
+    return found

@@ -2,20 +2,24 @@
 
 A drive is run once, and what its service has shown of it is kept. Then a stand-in for the service plays that by the
 clock for several robots at once, side by side, to `splitslam view --web` and its page in headless Chromium without a
-GPU. So the figures are the viewer's alone. CPU time a frame of the page is what can be compared on a busy machine.
+GPU. So the figures are the viewer's alone. Counted are frames in which the page has drawn by WebGL while the drive goes
+on. CPU time a frame, by thread, is what can be compared on a busy machine: a page is as fast as its slowest thread, and
+as the cores that all its threads share.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -26,7 +30,7 @@ import numpy as np
 import yaml
 
 from benchmarks.chromium import chromium
-from benchmarks.processes import cpu_s, tree
+from benchmarks.processes import threads_s, tree
 from splitslam.run.service import embedded_service
 from splitslam.wire import session_pb2_grpc, view_pb2, view_pb2_grpc
 
@@ -44,8 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--after", type=float, default=25.0, help="seconds of driving before frames are counted")
     parser.add_argument("--seconds", type=float, default=15.0, help="how long they are counted")
     parser.add_argument("--size", default="1280x720", help="of the page, pixels")
-    parser.add_argument("--gl", default="swiftshader", help="swiftshader, or gl: Mesa's, where it is installed")
-    parser.add_argument("--voxel", default="0.1", help="as of splitslam view")
+    parser.add_argument("--gl", default="swiftshader", help="swiftshader, or gl-egl: Mesa's, where it is installed")
+    parser.add_argument("--view", default="", metavar="'OPTIONS'", help="of splitslam view, as --view='--voxel 0.2'")
     parser.add_argument("--chromium", type=Path, default=Path(shutil.which("chromium") or "chromium"))
     parser.add_argument("--picture", type=Path)
     print(json.dumps(measure(parser.parse_args(arguments)), indent=1))
@@ -56,8 +60,9 @@ def measure(asked: argparse.Namespace) -> dict[str, Any]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="view-")))
         shown = captured(asked.bag, asked.robot, asked.max_scans, folder)
-        replay = stack.enter_context(replayed(shown, asked.robots))
-        command = (str(BIN / "splitslam"), "view", replay, "--web", "--voxel", asked.voxel)
+        replay = Replay(shown, asked.robots)
+        address = stack.enter_context(served(replay))
+        command = (str(BIN / "splitslam"), "view", address, "--web", *shlex.split(asked.view))
         view = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
         stack.callback(view.terminate)
         assert view.stdout is not None
@@ -67,36 +72,62 @@ def measure(asked: argparse.Namespace) -> dict[str, Any]:
         page.darken()
         page.open(url)
         time.sleep(asked.after)
-        before = _cpu(view.pid, page.pid)
+        before, sent = _cpu(view.pid, page.pid), replay.scans
         begun_s = time.monotonic()
-        frames_s = page.frames_s(asked.seconds)
+        frames = page.frames(asked.seconds)
         lasted_s = time.monotonic() - begun_s
-        cpu = {name: value - before[name] for name, value in _cpu(view.pid, page.pid).items()}
+        cpu = {who: value - before.get(who, 0.0) for who, value in _cpu(view.pid, page.pid).items()}
+        sent = replay.scans - sent
         if asked.picture is not None:
             page.save(asked.picture)
         view.terminate()
         said = view.stderr.read().strip().splitlines()
-    frames = len(frames_s) - 1
+    if replay.over:
+        sys.exit(f"the drive was over before the frames were counted: expected more scans than {asked.max_scans}")
+    drawn, drawing = len(frames.drawn_s), {name: s for (where, name), s in cpu.items() if where == "page" and s}
+    slowest = max(drawing, key=drawing.__getitem__)
     return {
         "robots": asked.robots,
         "page": f"{asked.size}, {asked.gl}",
-        "frames_per_s": round(frames / float(frames_s[-1] - frames_s[0]), 2),
-        "cpu_ms_per_frame": {name: round(cpu[name] / frames * 1e3, 1) for name in ("page", "gpu")},
-        "cpu_share": {name: round(cpu[name] / lasted_s, 3) for name in ("view", "rerun")},
+        "view": asked.view,
+        "drawn_per_s": round(drawn / lasted_s, 2),
+        "drawn_with_news_per_s": round(len(frames.fresh_s) / lasted_s, 2),
+        "longest_gap_ms": round(float(np.diff(frames.drawn_s).max(initial=0.0)) * 1e3),
+        "sent_scans_per_s": round(sent / lasted_s, 1),
+        "received_kbytes_per_s": round(frames.received_bytes / lasted_s / 1e3, 1),
+        "cpu_ms_per_frame": {name: round(s / drawn * 1e3, 1) for name, s in _largest(drawing)},
+        "cpu_ms_per_frame_all": round(sum(drawing.values()) / drawn * 1e3, 1),
+        "frames_per_s_on_idle_cores": {
+            "one a thread": round(drawn / drawing[slowest], 1),
+            "two": round(2.0 * drawn / sum(drawing.values()), 1),
+        },
+        "cpu_share": {
+            where: round(sum(s for (of, _), s in cpu.items() if of == where) / lasted_s, 3) for where in ("view", "rerun")
+        },
         "load": Path("/proc/loadavg").read_text().split()[0],
         "viewer": said[-1:],
     }
 
 
-def _cpu(view: int, page: int) -> dict[str, float]:
-    """CPU seconds so far: our program, Rerun's server, and of Chromium the page and what draws for it."""
-    drawing = cpu_s(pid for pid, command in tree(page) if "--type=gpu-process" in command)
-    return {
-        "view": cpu_s([view]),
-        "rerun": cpu_s(pid for pid, command in tree(view) if "rerun_cli" in command),
-        "page": cpu_s(pid for pid, _ in tree(page)) - drawing,
-        "gpu": drawing,
-    }
+def _largest(cpu_s: Mapping[str, float], count: int = 6) -> list[tuple[str, float]]:
+    return sorted(cpu_s.items(), key=lambda one: -one[1])[:count]
+
+
+def _cpu(view: int, page: int) -> Counter[tuple[str, str]]:
+    """CPU seconds so far by thread, those of one name together: of our program, Rerun's server, and Chromium.
+
+    Chromium's threads run beside each other: the renderer's main one is the page, the GPU process's and llvmpipe-N draw.
+    """
+    found: Counter[tuple[str, str]] = Counter()
+    for pid, command in tree(view):
+        where = "rerun" if "--bind" in command else "view"
+        for (_, name), s in threads_s([pid]).items():
+            found[where, name] += s
+    for pid, command in tree(page):
+        process = command.partition("--type=")[2].partition(" ")[0] or "browser"
+        for (thread, name), s in threads_s([pid]).items():
+            found["page", f"{process} {'main' if thread == pid else name}"] += s
+    return found
 
 
 def captured(bag: Path, robot: Path, max_scans: int, folder: Path) -> list[view_pb2.WatchScansResponse]:
@@ -128,10 +159,15 @@ def captured(bag: Path, robot: Path, max_scans: int, folder: Path) -> list[view_
 
 
 class Replay(view_pb2_grpc.ViewServiceServicer):
-    """Plays it by the clock from the first call on, robots side by side; who joins later sees what comes then."""
+    """Plays it by the clock from the first call on, robots side by side; who joins later sees what comes then.
+
+    scans: how many have been sent. over: the drive has ended.
+    """
 
     def __init__(self, shown: Sequence[view_pb2.WatchScansResponse], robots: int) -> None:
         self._shown = [[_moved(response, k) for k in range(robots)] for response in shown]
+        self.scans = 0
+        self.over = False
 
     def WatchScans(
         self, request: view_pb2.WatchScansRequest, context: grpc.ServicerContext
@@ -140,8 +176,11 @@ class Replay(view_pb2_grpc.ViewServiceServicer):
         due_s = time.monotonic()
         for responses in self._shown:
             yield from responses
-            due_s += _PERIOD_S if responses[0].HasField("scan") else 0.0
+            if responses[0].HasField("scan"):
+                self.scans += len(responses)
+                due_s += _PERIOD_S
             time.sleep(max(due_s - time.monotonic(), 0.0))
+        self.over = True
         while context.is_active():
             yield view_pb2.WatchScansResponse(replica="here")
             time.sleep(1.0)
@@ -164,7 +203,7 @@ def _moved(response: view_pb2.WatchScansResponse, number: int) -> view_pb2.Watch
 
 
 @contextmanager
-def replayed(shown: Sequence[view_pb2.WatchScansResponse], robots: int) -> Iterator[str]:
+def served(replay: Replay) -> Iterator[str]:
     """Its address."""
 
     class Nothing(session_pb2_grpc.SessionServiceServicer):
@@ -175,7 +214,7 @@ def replayed(shown: Sequence[view_pb2.WatchScansResponse], robots: int) -> Itera
             return iter(())
 
     server = grpc.server(ThreadPoolExecutor(4))
-    view_pb2_grpc.add_ViewServiceServicer_to_server(Replay(shown, robots), server)
+    view_pb2_grpc.add_ViewServiceServicer_to_server(replay, server)
     session_pb2_grpc.add_SessionServiceServicer_to_server(Nothing(), server)
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()

@@ -104,6 +104,8 @@ class UplinkConfig(Model):
     (`splitslam run`: 10 s, as somebody waits).
     reconnect_timeout_s: for each later outage, null: for ever.
     answer_timeout_s: a stream that talks but leaves a frame unanswered for so long is given up.
+    dense: idle: whole scans of keyframes stay on the robot's disk (`dense` in the spool's directory) and go up when the
+    link is idle. dense_max_mb: of them that wait; the oldest go first.
     """
 
     max_kbps: Positive | None = None
@@ -118,6 +120,8 @@ class UplinkConfig(Model):
     answer_timeout_s: Positive = 30.0
     backoff_first_s: Positive = 0.1
     backoff_max_s: Positive = 2.0
+    dense: Literal["idle", "never"] = "never"
+    dense_max_mb: Positive = 1024.0
 
 
 class SpoolConfig(Model):
@@ -195,9 +199,20 @@ class AgentConfig(Model):
     map_id: str = ""
 
     @property
+    def spool_dir(self) -> Path | None:
+        """The spool's directory; None: there is none."""
+        return self.spool.dir or (self.state_dir / "spool" if self.state_dir else None)
+
+    @property
     def spools(self) -> bool:
         """There is a directory for the spool."""
-        return self.spool.dir is not None or self.state_dir is not None
+        return self.spool_dir is not None
+
+    @model_validator(mode="after")
+    def _dense_needs_a_disk(self) -> Self:
+        if self.uplink.dense == "idle" and not self.spools:
+            raise ValueError("uplink.dense: idle: expected state_dir or spool.dir with it")
+        return self
 
     @model_validator(mode="after")
     def _one_graph(self) -> Self:

@@ -14,6 +14,7 @@ from typing import Any
 
 from edge_agent.about import write_about
 from edge_agent.check import LiveCheck
+from edge_agent.clouds.dense import NEVER, open_clouds
 from edge_agent.config import AgentConfig
 from edge_agent.feed import PoseFeed
 from edge_agent.going_on import StartAfter, UnseenMotion
@@ -33,6 +34,7 @@ from edge_agent.sink import AgentSink, Progress
 from edge_agent.sources import Sequencer, Source, TimedEvent, open_source
 from edge_agent.sources.source import StoppedError
 from edge_agent.tally import Tally, stage_summaries
+from edge_agent.tcp_meter import TcpBytes
 from edge_agent.uplink import SessionOverError, Uplink
 from edge_agent.warm_up import warm_up
 from edge_agent.watchdog import Watchdog
@@ -129,6 +131,7 @@ class _Run:
             config.server, hello, config.uplink, metrics, store.spool, lambda: store.sends_leftovers, config.tls
         )
         metrics.certificate_from(self._uplink.certificate_expires_s)
+        self._clouds = open_clouds(config, hello, self._pipeline, self._uplink, metrics)
         self._queue = EventQueue(config.source.queue_scans, by_the_clock, metrics)
         self._after = StartAfter(0, -(2**62), live=source.live_offset_ns is not None)
         began_s, offset_ns = config.source.began_s, source.live_offset_ns
@@ -160,8 +163,11 @@ class _Run:
             reader_cpu_s=lambda: self._reader.cpu_s,
             keep_run=lambda: self._store.keep(self._uplink.all_on_disk),
             report_drops=lambda: self._uplink.report_drops(self._metrics.all_dropped()),
+            clouds=self._clouds.keeper if self._clouds else None,
         )
         cleanup.callback(self._uplink.close)
+        if self._clouds is not None:
+            cleanup.callback(self._clouds.close)
         cleanup.callback(self._reader.close)
 
     def _hello(self, robot: Robot) -> pb.Hello:
@@ -190,6 +196,8 @@ class _Run:
         self._uplink.start()
         if self._store.leftovers is not None:
             self._store.leftovers.start()
+        if self._clouds is not None:
+            self._clouds.start()
         try:
             self._run(stop)
         except SessionOverError:
@@ -218,6 +226,8 @@ class _Run:
             finished = self._uplink.finish(self._pipeline.seq)
         if finished is not None:
             self._store.finished()
+            if self._clouds is not None:
+                self._clouds.finish(stop, self._progress.dense)
         else:
             self._tally.end(self._reader.cpu_s)
         self._uplink.close()
@@ -327,6 +337,7 @@ class _Run:
         jumps = {**self._imu.jumps, "map_count": tally.corrections, "map_max_m": tally.correction_max_m}
         read = self._scans_read
         welcome = self._uplink.welcome
+        dense = self._clouds.tcp_bytes() if self._clouds else TcpBytes()
         going_on = {"continued": {"after_scan": self._after.seq, "replayed": tally.replayed}} if self._after.seq else {}
         return {
             "session_id": welcome.session_id if welcome else "",
@@ -338,7 +349,8 @@ class _Run:
             "recording_s": recording_s,
             **tally.times(),
             **stage_summaries(self._metrics),
-            **tally.link(self._uplink.tcp_bytes(), recording_s, counts, self._pipeline.rate),
+            **tally.link(self._uplink.tcp_bytes(), recording_s, counts, self._pipeline.rate, dense),
+            "dense": self._clouds.report() if self._clouds else NEVER,
             "jumps": jumps,
             "wheels": self._imu.wheels_report,
             "outages": {**asdict(self._outages.report()), "odometry_ms": self._metrics.odometry.summary_ms()},

@@ -24,6 +24,8 @@ from splitslam.wire import session_pb2 as pb
 _log = logging.getLogger(__name__)
 _SLOW_S = 1.0  # of a round trip
 _REPORT_EVERY_S = 1.0
+_LOOK_S = 0.2  # until it is looked again whether the link is idle
+_BUSY_S = 0.5  # a link that has not brought an answer for so long has enough to do
 BACKLOG_FRAMES = 10
 ENVELOPE_BYTES = 50  # HTTP/2 and gRPC around a message
 
@@ -61,6 +63,7 @@ class Dialogue:
         self.bye: pb.Bye | None = None
         self.want_dense = False
         self.advised_kbps: int | None = None
+        self.takes_dense = False  # the service that said Welcome last stores whole scans
         self.replica = ""  # where the service wants the next stream to go
         self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
         self._pacer = Pacer()
@@ -147,6 +150,24 @@ class Dialogue:
         self.pause_s = wait_s if wait_s > 0 else None
         return wait_s > 0
 
+    def spare_s(self, now_s: float, size: int) -> float:
+        """How long `size` bytes that are not live have to wait, or until it is worth asking again; 0: now.
+
+        In lockstep a limit is kept by the recording's time, which says nothing of when the link is idle: after its end.
+        """
+        live = self.finished is None
+        if live:
+            stream, waiting_s = self.stream, self.stream.waiting_since_s
+            answers = waiting_s is None or now_s - waiting_s < _BUSY_S
+            by_recording = self.hello.lockstep and self.limit_kbps is not None
+            if not stream.welcomed or stream.ended is not None or self.outbox.unsent or not answers or by_recording:
+                return _LOOK_S
+        return self._pacer.spare_s(now_s, size + ENVELOPE_BYTES, self.limit_kbps, live=live)
+
+    def spare_sent(self, now_s: float, size: int) -> None:
+        """Books them."""
+        self._pacer.sent(now_s, size + ENVELOPE_BYTES, live=False)
+
     def report_due(self, now_s: float) -> bool:
         """There is a loss or a backlog to report; at most once a second, except before Bye."""
         if self._owed() == self._reported:
@@ -210,6 +231,7 @@ class Dialogue:
             )
             return
         self.stream.welcomed = True
+        self.takes_dense = welcome.takes_dense
         self._recoding.on_welcome(welcome)
         self._reported = ({}, 0)  # counts since the run began: saying them again is no harm
         self._report_s = float("-inf")

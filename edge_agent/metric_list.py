@@ -11,8 +11,9 @@ _POINT_BYTES = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0, 3.5, 4.0, 6.0, 
 STREAMS = ("lidar", "imu", "wheels", "gnss")
 STAGES = ("motion", "deskew", "features", "encode", "total")
 BACK_ENDS = ("reference", "cpu", "fpga", "cosim", "off", "rotation")
-UPLINK_KINDS = ("hello", "frame", "bye", "report")
-DOWNLINK_KINDS = ("welcome", "odometry", "credit", "advice", "drain", "refused", "finished")
+UPLINK_KINDS = ("hello", "frame", "bye", "report", "dense")
+DOWNLINK_KINDS = ("welcome", "odometry", "credit", "advice", "drain", "refused", "finished", "dense")
+DENSE_LOSSES = ("full", "disk", "damaged", "busy", "motion", "encode", "refused", "deleted", "not_a_keyframe")
 CAUSES = ("loop", "gnss", "relocalise", "registration", "outage")
 
 _OF_A_STREAM = ("duplicate", "time_backwards", "time_jump")
@@ -276,6 +277,28 @@ SPOOL_LIMIT = gauge(
     "Room of the spool, all runs together; 0: there is no spool",
     "0 on a robot: `state_dir` or `spool.dir` is missing in the configuration.",
 )
+DENSE_WAITING = gauge(
+    "splitslam_edge_dense_waiting",
+    "Whole scans on the disk that the service has not stored (`uplink.dense: idle`)",
+    "Only grows: the link is never idle, or the service takes none.",
+)
+DENSE_BYTES = gauge(
+    "splitslam_edge_dense_bytes",
+    "Their bytes",
+    "Against `uplink.dense_max_mb`: beyond it the oldest go.",
+)
+DENSE_SENT = counter(
+    "splitslam_edge_dense_sent",
+    "Whole scans of keyframes that the service has stored",
+    "Against the keyframes of the run.",
+)
+DENSE_DROPPED = counter(
+    "splitslam_edge_dense_dropped",
+    "Whole scans of keyframes that were lost, by reason. motion: of a scan whose motion was not known yet; busy: they "
+    "came too fast; deleted: the session is gone; not_a_keyframe: the service has forgotten that it was one",
+    "full: `uplink.dense_max_mb`, or a link that is never idle. disk, damaged: the disk. busy: CPU.",
+    Label("reason", DENSE_LOSSES, open=True),
+)
 SPOOL_ERRORS = counter(
     "splitslam_edge_spool_errors",
     "What the disk did not do (full, read_only, permission, io), what was found damaged or torn on it, and frames that "
@@ -309,6 +332,12 @@ CLOCK_CHOSEN = gauge(
     "host where gps or ptp is wired: PPS and $GPRMC, PTP's grandmaster; the log says why.",
     Label("sensor", SENSORS),
     Label("taken_from", CLOCK_CHOICES),
+)
+CLOCK_CHANGES = counter(
+    "splitslam_edge_sensor_clock_changes",
+    "How often a live sensor's lock to GPS or PTP has come or gone while the run went on, without a step in its time",
+    "Antenna and pulse of the receiver, PTP's grandmaster; the log says when, and by how much the sensor's clock stepped.",
+    Label("sensor", SENSORS),
 )
 CLOCK_BEHIND = gauge(
     "splitslam_edge_sensor_clock_behind_seconds",

@@ -17,8 +17,10 @@ from splitslam.metrics import Family, Metric, Page, collect, show_build
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from edge_agent.clouds.shelf import CloudShelf
     from edge_agent.odometry.outage import OutageReport
-    from edge_agent.sources.live.clock import RunClock, SensorClock
+    from edge_agent.sources.live.clock import RunClock
+    from edge_agent.sources.live.sensor_clock import SensorClock
 
 NAN = float("nan")
 _BYTES_PER_KBIT = 125.0
@@ -112,6 +114,10 @@ class EdgeMetrics:
         self._answered_s = NAN
         self._collect(m.ANSWER_AGE, lambda: time.monotonic() - self._answered_s)
         self._live()
+        self._tcp: list[tuple[Callable[[], float], Callable[[], float]]] = []
+        self._collect(m.TCP_SENT, lambda: sum(sent() for sent, _ in self._tcp))
+        self._collect(m.TCP_RECEIVED, lambda: sum(received() for _, received in self._tcp))
+        self._dense()
         self._page: Page | None = None
         show_build(self.registry)
         ProcessCollector(registry=self.registry)
@@ -223,6 +229,7 @@ class EdgeMetrics:
         self._collect(m.SENSOR_PACKETS, lambda: self._live_packets())
         self._collect(m.SENSOR_LOSSES, lambda: self._live_losses())
         self._collect(m.CLOCK_CHOSEN, lambda: {(c.name, c.chosen): 1.0 for c in clocks() if c.chosen})
+        self._collect(m.CLOCK_CHANGES, lambda: {c.name: float(c.changes) for c in clocks()})
         self._collect(m.CLOCK_BEHIND, lambda: dict.fromkeys(m.SENSORS, NAN) | behind_s())
         self._collect(m.CLOCK_PROBLEMS, problems)
 
@@ -231,9 +238,21 @@ class EdgeMetrics:
         self._collect(m.CERTIFICATE_EXPIRY, expires_s)
 
     def tcp_bytes_from(self, sent: Callable[[], float], received: Callable[[], float]) -> None:
-        """Shows the kernel's byte counts."""
-        self._collect(m.TCP_SENT, sent)
-        self._collect(m.TCP_RECEIVED, received)
+        """Shows the kernel's byte counts, with those of others that have said theirs."""
+        self._tcp.append((sent, received))
+
+    def dense_from(self, shelf: CloudShelf, sent: Callable[[], int]) -> None:
+        """Shows the whole scans on the disk, and how many have gone."""
+        self._shelf, self._dense_sent = shelf, sent
+
+    def _dense(self) -> None:
+        """Where none are kept all zero."""
+        self._shelf: CloudShelf | None = None
+        self._dense_sent: Callable[[], int] = lambda: 0
+        self._collect(m.DENSE_WAITING, lambda: self._shelf.waiting if self._shelf else 0)
+        self._collect(m.DENSE_BYTES, lambda: self._shelf.bytes if self._shelf else 0)
+        self._collect(m.DENSE_SENT, lambda: self._dense_sent())
+        self._collect(m.DENSE_DROPPED, lambda: dict(self._shelf.dropped) if self._shelf else {})
 
     # --- /metrics ---------------------------------------------------------------------------------------------
 

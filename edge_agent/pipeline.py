@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge_agent.bare import CarriedMotion, ends
 from edge_agent.dense import DensePolicy
 from edge_agent.features._projection_kernels import known_points
+from edge_agent.features.projection import Image
 from edge_agent.features.select import Selector
 from edge_agent.image_node import make_image_node
 from edge_agent.rate import RateControl
@@ -17,8 +18,9 @@ from edge_agent.settings import PipelineSettings
 from edge_agent.stage_clock import StageClock
 from edge_agent.types import EncodedFrame, MotionSource
 from splitslam import codec
+from splitslam.dense_cloud import WholeScan
 from splitslam.errors import DataError
-from splitslam.features import FeatureFrame, Knots, Motion
+from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
 from splitslam.robot import Robot
 from splitslam.scan import Scan, ScanPacket
 
@@ -38,6 +40,7 @@ class EdgePipeline:
         self.dense = DensePolicy(settings.dense)
         self.seq = 0
         self.dropped_points = {"duplicate": 0, "ring": 0}
+        self.keeps_scans = False  # is a dense frame to come with its whole scan?
         self.rate = RateControl(settings.rate)
         self._carried = CarriedMotion(settings.carried)
         self._selector = Selector(settings.features, rings, self.columns)
@@ -91,6 +94,7 @@ class EdgePipeline:
             own = replace(frame, corners=corners, surfs=surfs)
             clock.lap("features")
         clock.stop()
+        scan_kept = self._whole(frame, image) if self.keeps_scans and dense and motion.velocity_known else None
         return EncodedFrame(
             seq=self.seq,
             stamp_ns=scan.stamp_ns,
@@ -102,7 +106,19 @@ class EdgePipeline:
             corners=len(frame.corners),
             surfs=len(frame.surfs),
             features=own,
+            scan=scan_kept,
         )
+
+    def _whole(self, frame: FeatureFrame, image: Image) -> WholeScan:
+        """A copy of the image, which the next scan overwrites."""
+        points = FeatureSet(
+            image.points_lidar.copy(),
+            image.ring.copy(),
+            image.column.copy(),
+            image.t_offset_ns.copy(),
+            image.intensity.copy(),
+        )
+        return WholeScan(frame.seq, frame.stamp_ns, frame.motion, points, self.beam_elevations_rad, self.columns)
 
     def _knots(self, motion: Motion) -> Knots:
         """The motion that is removed, as it travels. One that is beyond all bounds costs the scan, not the agent."""

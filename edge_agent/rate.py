@@ -84,6 +84,7 @@ class RateControl:
         self._dense_frames = 0
         self._sent: deque[tuple[int, int]] = deque()  # (stamp_ns, bytes) of the last window
         self._sum = 0
+        self._others: deque[int] = deque()  # what else went over the link, not yet booked
         bare = 110.0 + settings.frame_overhead_bytes
         self._kinds = {
             False: _Kind(bare, 2.3, 500.0, 9.0, settings.fewest_points, bare),
@@ -164,7 +165,16 @@ class RateControl:
         assert self._limit_kbps is not None
         return self._limit_kbps * BYTES_PER_KBIT * (self.settings.backlog_share if self.backlog else 1.0)
 
+    def also_sent(self, size: int) -> None:
+        """Bytes that are no frame's; any thread may say so. Frames have what is left of the window."""
+        if self.limit_kbps is not None:
+            self._others.append(size + self.settings.frame_overhead_bytes)
+
     def _used(self, stamp_ns: int) -> int:
+        while self._others:
+            size = self._others.popleft()
+            self._sent.append((stamp_ns, size))
+            self._sum += size
         while self._sent and self._sent[0][0] <= stamp_ns - WINDOW_NS:
             self._sum -= self._sent.popleft()[1]
         return self._sum

@@ -23,7 +23,7 @@ class RunStore:
     def __init__(self, config: AgentConfig, hello: pb.Hello, metrics: EdgeMetrics) -> None:
         """hello: of this agent; its run_id is filled in. Raises InputError for a directory that cannot be used."""
         self._state, self._metrics = RunState(config.state_dir), metrics
-        path = config.spool.dir or (config.state_dir / "spool" if config.state_dir else None)
+        path = config.spool_dir
         self._folder = folder = None if path is None else SpoolFolder(path, config.spool.max_bytes)
         self.run = self._state.open((lambda run_id: True) if folder is None else (lambda r: folder.continues(r, hello)))
         hello.run_id = self.run.value

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.clouds.keeper import CloudKeeper
 from edge_agent.feed import PoseFeed
 from edge_agent.loop import Imu
 from edge_agent.odometry.outage import Correction
@@ -42,6 +43,10 @@ class Progress:
             self._last_s = now_s
             self._line(event="scan", read=read, mapped=mapped)
 
+    def dense(self, sent: int, waiting: int) -> None:
+        """After the last scan: dense clouds that are sent, and those that are not yet."""
+        self._line(event="dense", sent=sent, waiting=waiting)
+
     def end(self, read: int, mapped: int) -> None:
         self._line(event="scan", read=read, mapped=mapped)
         self._line(event="end")
@@ -55,7 +60,7 @@ class Progress:
 class AgentSink:
     """Implements edge_agent.loop.Sink; outputs, feed and ros may be switched off (None).
 
-    by_scan: there are no IMU-rate poses: ROS gets those of the scans.
+    by_scan: there are no IMU-rate poses: ROS gets those of the scans. clouds: None: no whole scans are kept.
     """
 
     tally: Tally
@@ -68,6 +73,7 @@ class AgentSink:
     reader_cpu_s: Callable[[], float]
     keep_run: Callable[[], None]
     report_drops: Callable[[], None]
+    clouds: CloudKeeper | None = None
     read: int = 0
 
     def on_scan_begun(self) -> None:
@@ -84,12 +90,18 @@ class AgentSink:
             self.ros.publish(OdomPoses.of(frame.stamp_ns, T_odom_lidar))
         self.keep_run()
         self.report_drops()
+        if self.clouds is not None and frame.scan is not None:
+            self.clouds.keep(frame.scan)
+        elif self.clouds is not None and frame.dense:
+            self.clouds.lose(frame.seq, "motion")
         return frame_message(frame, CODEC_VERSION)
 
     def on_answer(self, answer: Answer) -> None:
         """The Imu node has the answer."""
         self.tally.answer(answer)
         reply = answer.reply
+        if self.clouds is not None:
+            self.clouds.answered(reply.seq, answer.keyframe)
         if self.outputs is not None and not reply.rejected:
             self.outputs.online(reply)
         self.progress.scan(self.read, self.tally.mapped)

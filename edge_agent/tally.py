@@ -17,6 +17,7 @@ from edge_agent.wire import Answer
 
 # The paper's Case 1: what the same sensors send without an edge.
 RAW_POINT_BYTES, RAW_IMU_BYTES = 18, 320
+_NONE = TcpBytes()
 
 
 @dataclass(slots=True)
@@ -92,8 +93,14 @@ class Tally:
         edge_ms, reader_ms = (process_s - reader_s) * 1e3 / scans, reader_s * 1e3 / scans
         return {"wall_s": wall_s, "cpu_ms_per_scan": {"edge": edge_ms, "reader": reader_ms}}
 
-    def link(self, tcp: TcpBytes, recording_s: float, counts: Counts, rate: RateControl) -> dict[str, Any]:
-        """The keys `uplink` and `downlink` of report.json. Rates go by recording time; null without any."""
+    def link(
+        self, live: TcpBytes, recording_s: float, counts: Counts, rate: RateControl, dense: TcpBytes = _NONE
+    ) -> dict[str, Any]:
+        """The keys `uplink` and `downlink` of report.json. Rates go by recording time; null without any.
+
+        live, dense: of the frames' connections, and of those of whole scans.
+        """
+        tcp = live + dense
         raw_bytes = RAW_POINT_BYTES * counts.read_points + RAW_IMU_BYTES * counts.imu_messages
 
         def kbps(size: int) -> float | None:
@@ -105,6 +112,9 @@ class Tally:
                 "payload_bytes": self.payload_bytes,
                 "payload_sha256": self._sha256.hexdigest(),
                 "kbps": kbps(tcp.sent),
+                "live_bytes": live.sent,
+                "live_kbps": kbps(live.sent),
+                "dense_bytes": dense.sent,
                 "bytes_per_scan": tcp.sent / self.sent if self.sent else None,
                 "raw_kbps": kbps(raw_bytes),
                 "native_kbps": kbps(counts.native_bytes) if counts.native_bytes else None,

@@ -30,10 +30,13 @@ class TcpBytes:
 
 
 class TcpMeter:
-    """Sums over all connections of this process to `host:port`, past ones included."""
+    """Sums over this process's connections to `host:port` of one kind, past ones included.
 
-    def __init__(self, host: str, port: int) -> None:
-        self._host, self._port = host, port
+    dscp: the kind, by what their packets are marked with: 0 for live ones.
+    """
+
+    def __init__(self, host: str, port: int, dscp: int = 0) -> None:
+        self._host, self._port, self._dscp = host, port, dscp
         self._open: dict[int, socket.socket] = {}  # by socket inode
         self._past = TcpBytes()
         self._lock = threading.Lock()
@@ -53,7 +56,7 @@ class TcpMeter:
             twin = socket.socket(fileno=os.dup(int(name)))
         except OSError:  # the descriptor went away while we looked
             return
-        if _is_tcp_to(twin, peers, self._port):
+        if _is_tcp_to(twin, peers, self._port) and _dscp(twin) == self._dscp:
             self._open[inode] = twin
         else:
             twin.close()
@@ -87,6 +90,12 @@ def _is_tcp_to(sock: socket.socket, peers: set[str], port: int) -> bool:
     except OSError:
         return False
     return peer_port == port and address.removeprefix("::ffff:") in peers
+
+
+def _dscp(sock: socket.socket) -> int:
+    if sock.family == socket.AF_INET:
+        return sock.getsockopt(socket.IPPROTO_IP, socket.IP_TOS) >> 2
+    return sock.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS) >> 2
 
 
 def _tcp_bytes(sock: socket.socket) -> TcpBytes:

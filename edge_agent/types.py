@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
+from splitslam.dense_cloud import WholeScan
 from splitslam.features import FeatureFrame, Motion
 from splitslam.scan import GnssFix
 
@@ -57,7 +58,8 @@ class EncodedFrame:
 
     payload: splitslam.codec's bytes. stage_cpu_ms, stage_wall_ms: thread CPU and wall time by stage: deskew (projection
     included: the paper's Algorithm 1), motion (Imu node), features, encode, total. corners, surfs: points in it.
-    features: the same without a budget, for the edge's own odometry.
+    features: the same without a budget, for the edge's own odometry. scan: all of it, of a dense frame where whole
+    scans are kept; None also where the motion that was removed from it is not known yet.
     """
 
     seq: int
@@ -70,6 +72,7 @@ class EncodedFrame:
     corners: int = 0
     surfs: int = 0
     features: FeatureFrame | None = None
+    scan: WholeScan | None = None
 
 
 class MotionSource(Protocol):

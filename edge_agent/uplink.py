@@ -29,6 +29,7 @@ from splitslam.wire import session_pb2 as pb
 _log = logging.getLogger(__name__)
 _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: the next failure starts over
 _TELL_S = 10.0  # without a service from the start, before that is said
+_LOOK_S = 0.2  # while frames of a run before go first
 
 
 class SessionOverError(InputError):
@@ -144,6 +145,22 @@ class Uplink:
         """What the uplink may take, by the configuration and the service's advice."""
         with self._changed:
             return self._dialogue.limit_kbps
+
+    @property
+    def takes_dense(self) -> bool:
+        """Whether the service stores whole scans of keyframes, as far as it has told."""
+        with self._changed:
+            return self._dialogue.takes_dense
+
+    def spare_s(self, size: int) -> float:
+        """How long `size` bytes that are not live have to wait, or until it is worth asking again; 0: now."""
+        with self._changed:
+            return _LOOK_S if self._shared() else self._dialogue.spare_s(time.monotonic(), size)
+
+    def spare_sent(self, size: int) -> None:
+        """They go now; on another connection."""
+        with self._changed:
+            self._dialogue.spare_sent(time.monotonic(), size)
 
     @property
     def backlog(self) -> bool:

@@ -1,6 +1,6 @@
 """Who may do what: robots their own sessions, operators those of their site. Nobody else anything.
 
-| caller | EdgeService.Stream | Get, Trajectory, StreamMap, PoseGraph, PoseService, WatchScans | List | Delete |
+| caller | EdgeService, DenseService | Get, Trajectory, StreamMap, PoseGraph, PoseService, WatchScans | List | Delete |
 |---|---|---|---|---|
 | robot | as itself, at its site | its own sessions | | |
 | operator of a site | | of the site | of the site | of the site |

@@ -39,7 +39,7 @@ from map_service.database import one_line
 from map_service.store import Store
 from splitslam.errors import InputError
 
-_BATCH = {"clouds": 50}  # rows at a time; a cloud may be 100 kB
+_BATCH = {"clouds": 50, "dense_clouds": 16}  # rows at a time; a cloud may be 100 kB, a dense one 4 MB
 _ROWS = 500
 
 contents = Table(

@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Connection, Row, delete, func, select
+from sqlalchemy import Connection, Row, delete, func, null, select
 
 from map_service import schema
 from map_service.rows import unpack_pose
@@ -30,13 +30,14 @@ class Deleted:
 class StoredKeyframe:
     """One keyframe of the map. T_map_lidar: (4, 4) as corrected last; cloud: map_service.cloud's encoding.
 
-    stamp_ns: reference time of its scan.
+    stamp_ns: reference time of its scan. dense: its whole scan (splitslam.dense_cloud), None where there is none.
     """
 
     index: int
     stamp_ns: int
     T_map_lidar: np.ndarray
     cloud: bytes
+    dense: bytes | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,20 +103,21 @@ class Catalog:
                         raise DataError("corrupt", f"frame {lost} is on a keyframe that is not there")
                     yield [(seq, ns, poses[keyframe] @ unpack_pose(pose)) for seq, ns, keyframe, pose in page]
 
-    def keyframes(self, key: int, first: int = 0) -> Generator[StoredKeyframe]:
-        """Every keyframe from number `first` on with its cloud, one at a time."""
-        k, c = schema.keyframes, schema.clouds
-        with self._store.reading() as connection:
-            query = (
-                select(k.c.keyframe, k.c.stamp_ns, k.c.pose_map_lidar, c.c.cloud)
-                .join_from(k, c, (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe))
-                .where(k.c.session == key, k.c.keyframe >= first)
-                .order_by(k.c.keyframe)
-            )
-            # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through
-            with connection.execute(query.execution_options(yield_per=16)) as rows:
-                for index, stamp_ns, pose, cloud in rows:
-                    yield StoredKeyframe(index, stamp_ns, unpack_pose(pose), cloud)
+    def keyframes(self, key: int, first: int = 0, *, dense: bool = False) -> Generator[StoredKeyframe]:
+        """Every keyframe from number `first` on with its cloud, one at a time; dense: and its whole scan."""
+        k, c, d = schema.keyframes, schema.clouds, schema.dense_clouds
+        of_both = (k.c.session == c.c.session) & (k.c.keyframe == c.c.keyframe)
+        columns = (k.c.keyframe, k.c.stamp_ns, k.c.pose_map_lidar, c.c.cloud)
+        query = select(*columns, d.c.cloud) if dense else select(*columns, null())
+        query = query.join_from(k, c, of_both)
+        if dense:
+            query = query.outerjoin(d, (k.c.session == d.c.session) & (k.c.keyframe == d.c.keyframe))
+        query = query.where(k.c.session == key, k.c.keyframe >= first).order_by(k.c.keyframe)
+        # of the statement, not the connection: what begins a transaction on PostgreSQL is no query to page through
+        query = query.execution_options(yield_per=16)
+        with self._store.reading() as connection, connection.execute(query) as rows:
+            for index, stamp_ns, pose, cloud, whole in rows:
+                yield StoredKeyframe(index, stamp_ns, unpack_pose(pose), cloud, whole)
 
     def graph(self, key: int) -> StoredGraph:
         """A session's factor graph: where its keyframes are, every factor, and the small state of its pipeline."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from map_service.catalog import Catalog, StoredKeyframe
 from map_service.cloud import decode_cloud
+from splitslam import dense_cloud
 from splitslam.maps import MapPiece
 from splitslam.ply import write_ply
 from splitslam.se3 import quat_from_matrix
@@ -35,7 +36,7 @@ def write_session(catalog: Catalog, key: int, folder: Path, voxel_m: float) -> E
     """
     poses = trajectory(catalog, key)
     write_tum(folder / "trajectory.tum", poses)
-    with closing(catalog.keyframes(key)) as keyframes:  # else a cloud that cannot be read leaves its connection open
+    with closing(catalog.keyframes(key, dense=True)) as keyframes:  # else one that cannot be read leaves it open
         pieces = (piece.points_map.tobytes() for piece in map_pieces(keyframes, voxel_m))
         return Exported(len(poses), write_ply(folder / "map.ply", pieces))
 
@@ -52,7 +53,7 @@ def trajectory(catalog: Catalog, key: int) -> Trajectory:
 def map_pieces(keyframes: Iterable[StoredKeyframe], voxel_m: float) -> Iterator[MapPiece]:
     """One piece a keyframe; with voxel_m > 0 each voxel of the whole map keeps its first point only.
 
-    Raises DataError for a cloud that cannot be read.
+    A keyframe that comes with its whole scan is that. Raises DataError for a cloud that cannot be read.
     """
     if voxel_m == 0:
         for keyframe in keyframes:
@@ -66,11 +67,14 @@ def map_pieces(keyframes: Iterable[StoredKeyframe], voxel_m: float) -> Iterator[
 
 
 def _in_map(keyframe: StoredKeyframe) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    points_lidar, intensity, _ = decode_cloud(keyframe.cloud)
+    if keyframe.dense is not None:
+        points_lidar, intensity = dense_cloud.decode(keyframe.dense)
+    else:
+        points_lidar, intensity, _ = decode_cloud(keyframe.cloud)
     T = keyframe.T_map_lidar
     return points_lidar.astype(np.float64) @ T[:3, :3].T + T[:3, 3], intensity
 
 
 def _piece(keyframe: StoredKeyframe, points_map: NDArray[np.float64], intensity: NDArray[np.uint8]) -> MapPiece:
     points = np.column_stack([points_map, intensity]).astype("<f4")
-    return MapPiece(keyframe.index, keyframe.stamp_ns, keyframe.T_map_lidar, points)
+    return MapPiece(keyframe.index, keyframe.stamp_ns, keyframe.T_map_lidar, points, keyframe.dense is not None)

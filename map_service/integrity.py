@@ -15,12 +15,14 @@ from map_service import migrations, schema
 from map_service.cloud import decode_cloud
 from map_service.history import unpack_poses
 from map_service.store import Store
+from splitslam import dense_cloud
 from splitslam.errors import DataError
 from splitslam.wire import pose_pb2 as pb
 
 _POSE_BYTES = 56
 _ROWS = 1000
 _CLOUDS = 50
+_DENSE_CLOUDS = 16
 _UNIT = 1e-6
 
 
@@ -61,6 +63,7 @@ def _session(connection: Connection, row: Row, since_s: float, seen: Seen) -> It
     yield from _frames(connection, row, keyframes, row.opened_s >= since_s, counts)
     yield from _factors(connection, row.id, len(keyframes), counts)
     yield from _places(connection, row.id, keyframes)
+    yield from _dense(connection, row.id, keyframes)
     yield from _versions(connection, row, len(keyframes))
     yield from _events(connection, row)
     for name, counted in counts.items():
@@ -142,6 +145,16 @@ def _places(connection: Connection, key: int, keyframes: set[int]) -> Iterator[s
     for (index,) in connection.execute(select(t.c.keyframe).where(t.c.session == key).order_by(t.c.keyframe)):
         if index not in keyframes:
             yield f"place {index} belongs to no keyframe"
+
+
+def _dense(connection: Connection, key: int, keyframes: set[int]) -> Iterator[str]:
+    t = schema.dense_clouds
+    query = select(t.c.keyframe, t.c.cloud).where(t.c.session == key).order_by(t.c.keyframe)
+    for index, cloud in _rows(connection, query, _DENSE_CLOUDS):
+        if index not in keyframes:
+            yield f"dense cloud {index} belongs to no keyframe"
+        elif problem := _problem(dense_cloud.decode, cloud):
+            yield f"keyframe {index}: {problem}"
 
 
 def _versions(connection: Connection, row: Row, keyframes: int) -> Iterator[str]:

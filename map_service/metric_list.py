@@ -28,6 +28,7 @@ GNSS_RESULTS = (
     *("accepted", "gated", "spacing", "covariance", "no_fix", "duplicate", "out_of_order", "late", "early", "lost"),
     "unusable",
 )
+DENSE_VERDICTS = ("stored", "not_a_keyframe", "not_yet", "refused", "no_room", "no_session")
 _WORKER = Label("worker", bound="`workers`: 0, 1, ...")
 
 # --- robots and streams -----------------------------------------------------------------------------------------------
@@ -232,6 +233,17 @@ UNDURABLE = gauge(
     "splitslam_map_undurable_frames",
     "Frames applied and not durable yet, all sessions",
     "Grows: the store is slow or away; at `commit.backlog_frames` a session waits.",
+)
+DENSE_CLOUDS = counter(
+    "splitslam_map_dense_clouds",
+    "Whole scans of keyframes that robots have offered, by what became of them; stored: also those that it had already",
+    "refused: the log says what is wrong with them. no_room: the site's quota. not_yet: commits that are late.",
+    Label("verdict", DENSE_VERDICTS),
+)
+DENSE_BYTES = counter(
+    "splitslam_map_dense_bytes",
+    "Bytes of those that were stored",
+    "A share of `store_bytes`; robots send them with `uplink.dense: idle`.",
 )
 STORE_BYTES = gauge(
     "splitslam_map_store_bytes",

@@ -37,6 +37,7 @@ class ServiceMetrics:
         collect(m.CERTIFICATE_EXPIRY, self.registry, lambda: self._expires_s())
         self.store_bytes, self.database_bytes = self._family(m.STORE_BYTES), self._family(m.DATABASE_BYTES)
         self.retention, self.retention_bytes = self._family(m.RETENTION), self._family(m.RETENTION_BYTES)
+        self.dense_clouds, self.dense_bytes = self._family(m.DENSE_CLOUDS), self._family(m.DENSE_BYTES)
         self.drained, self.draining = self._family(m.DRAINED), self._family(m.DRAINING)
         self.replicas = self._family(m.REPLICAS)
         self.watchers, self.watch_dropped = self._family(m.WATCHERS), self._family(m.WATCH_DROPPED)

@@ -60,6 +60,7 @@ MIGRATIONS = (
         columns=(schema.sessions.c.map_version, schema.sessions.c.events, schema.frames.c.covariance),
         indexes=tuple(schema.frames.indexes),
     ),
+    Migration(4, tables=(schema.dense_clouds,)),
 )
 VERSION = MIGRATIONS[-1].version
 

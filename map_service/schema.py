@@ -146,6 +146,15 @@ events = Table(
     Column("content", LargeBinary, nullable=False),
 )
 
+# Whole scans of keyframes as their robot has sent them (splitslam.dense_cloud): those that have come.
+dense_clouds = Table(
+    "dense_clouds",
+    metadata,
+    _session_key(ondelete="CASCADE"),
+    Column("keyframe", Integer, primary_key=True),
+    Column("cloud", LargeBinary, nullable=False),
+)
+
 SESSION_TABLES = (
     frames,
     clouds,
@@ -155,4 +164,5 @@ SESSION_TABLES = (
     places,
     map_versions,
     events,
+    dense_clouds,
 )  # all that refers to a session

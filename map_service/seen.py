@@ -68,9 +68,9 @@ def _matches(voxels: VoxelMap, points_lidar: Points, T_local_lidar: Array, gate_
     fits = np.empty((len(points_lidar), GEOMETRY))
     voxels.match(points_lidar.astype(np.float64), T_local_lidar, gate_m, fits)
     T_lidar_local = se3.inv(T_local_lidar)
-    matches = fits[:, :3] @ T_lidar_local[:3, :3].T + T_lidar_local[:3, 3]
-    matches[fits[:, KIND] == 0.0] = np.nan
-    return matches.astype(np.float32)
+    matches, found = np.full((len(fits), 3), np.nan, np.float32), fits[:, KIND] != 0.0  # the other rows are not written
+    matches[found] = fits[found, :3] @ T_lidar_local[:3, :3].T + T_lidar_local[:3, 3]
+    return matches
 
 
 def map_seen(graph: PoseGraph, newest_fixes: int) -> MapSeen:

@@ -14,6 +14,8 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from map_service.config import ServiceConfig
+from map_service.dense_service import SERVICE as DENSE_SERVICE
+from map_service.dense_service import DenseFront
 from map_service.door import Door
 from map_service.edge_service import EdgeFront
 from map_service.engine import DEFAULT_ENGINE
@@ -33,9 +35,15 @@ from map_service.workers import WorkerPool
 from splitslam.errors import InputError
 from splitslam.logs import configure_logs
 from splitslam.notify import Notifier
-from splitslam.wire import pose_pb2_grpc, session_pb2_grpc
+from splitslam.wire import dense_pb2_grpc, pose_pb2_grpc, session_pb2_grpc
 
-SERVICES = ("splitslam.v1.EdgeService", "splitslam.v1.SessionService", "splitslam.v1.PoseService", VIEW_SERVICE)
+SERVICES = (
+    "splitslam.v1.EdgeService",
+    "splitslam.v1.SessionService",
+    "splitslam.v1.PoseService",
+    VIEW_SERVICE,
+    DENSE_SERVICE,
+)
 _STREAM_GRACE_S = 0.5
 _LEAVE_S = 1.0
 
@@ -67,7 +75,8 @@ async def _serve(config: ServiceConfig, engine: str) -> None:
     watches = Watches(config.watch, door.callers, metrics)
     poses = PoseFront(store, watches, live)
     views = ViewFront(pool.watchers, door.callers, metrics)
-    server, checks, address = _build(config, front, sessions, poses, views, door)
+    dense = DenseFront(config, store, door.callers, metrics)
+    server, checks, address = _build(config, front, sessions, poses, views, dense, door)
     page = metrics.serve(config.metrics.host, config.metrics.port)
     local = _health_only(config.health_socket, checks)
     try:
@@ -130,7 +139,13 @@ def _shared(config: ServiceConfig, store: Store) -> bool:
 
 
 def _build(
-    config: ServiceConfig, front: EdgeFront, sessions: SessionFront, poses: PoseFront, views: ViewFront, door: Door
+    config: ServiceConfig,
+    front: EdgeFront,
+    sessions: SessionFront,
+    poses: PoseFront,
+    views: ViewFront,
+    dense: DenseFront,
+    door: Door,
 ) -> tuple[grpc.aio.Server, Any, str]:
     server = grpc.aio.server(
         options=[
@@ -144,6 +159,7 @@ def _build(
     server.add_generic_rpc_handlers((front.handler(), views.handler()))
     session_pb2_grpc.add_SessionServiceServicer_to_server(sessions, server)
     pose_pb2_grpc.add_PoseServiceServicer_to_server(poses, server)
+    dense_pb2_grpc.add_DenseServiceServicer_to_server(dense, server)
     checks = HealthServicer()
     health_pb2_grpc.add_HealthServicer_to_server(checks, server)
     if not config.tls.on:  # whoever needs the contract behind a door has it from proto/

@@ -126,6 +126,7 @@ class Session:
             codec_version=self._engine.codec_version,
             session_id=self.request.session_id,
             service_version=__version__,
+            takes_dense=True,
         )
 
     # -- frames -------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from sqlalchemy import Row
 
 from map_service.access import NO_SITE, check_operator
 from map_service.callers import Callers
+from map_service.catalog import StoredKeyframe
 from map_service.export import map_pieces
 from map_service.graph_export import map_graph
 from map_service.graph_messages import graph_to_wire
@@ -17,6 +18,7 @@ from map_service.metrics import ServiceMetrics
 from map_service.store import Store
 from map_service.store_front import StoreFront, next_of
 from map_service.workers import WorkerPool
+from splitslam.maps import MapPiece
 from splitslam.thinning import voxel_problem
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
@@ -66,16 +68,13 @@ class SessionFront(StoreFront, rpc.SessionServiceServicer):
         voxel_m = request.voxel_m
         if problem := voxel_problem(voxel_m):
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"voxel_m {problem}")
+        if request.dense and voxel_m:
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "voxel_m: expected 0 with dense")
         row = await self._readable(request.session_id, context)
-        pieces = map_pieces(self._catalog.keyframes(row.id, request.first_keyframe), voxel_m)
-        while (piece := await self._query(context, next_of, pieces)) is not None:
-            yield pb.StreamMapResponse(
-                keyframe=piece.keyframe,
-                pose_map_lidar=transform_to_wire(piece.T_map_lidar),
-                points=piece.points_map.tobytes(),
-                point_count=len(piece.points_map),
-                stamp_ns=piece.stamp_ns,
-            )
+        keyframes = self._catalog.keyframes(row.id, request.first_keyframe, dense=request.dense)
+        messages = map(_whole, keyframes) if request.dense else map(_features, map_pieces(keyframes, voxel_m))
+        while (message := await self._query(context, next_of, messages)) is not None:
+            yield message
 
     async def PoseGraph(
         self, request: pb.PoseGraphRequest, context: grpc.aio.ServicerContext
@@ -84,6 +83,28 @@ class SessionFront(StoreFront, rpc.SessionServiceServicer):
         stored = await self._query(context, self._catalog.graph, row.id)
         for part in graph_to_wire(await self._query(context, map_graph, stored)):
             yield part
+
+
+def _features(piece: MapPiece) -> pb.StreamMapResponse:
+    return pb.StreamMapResponse(
+        keyframe=piece.keyframe,
+        pose_map_lidar=transform_to_wire(piece.T_map_lidar),
+        points=piece.points_map.tobytes(),
+        point_count=len(piece.points_map),
+        stamp_ns=piece.stamp_ns,
+    )
+
+
+def _whole(keyframe: StoredKeyframe) -> pb.StreamMapResponse:
+    """A whole scan goes as it is stored: to decode it is the reader's work, and makes it ten times as large."""
+    if keyframe.dense is None:
+        return _features(next(map_pieces([keyframe], 0.0)))
+    return pb.StreamMapResponse(
+        keyframe=keyframe.index,
+        pose_map_lidar=transform_to_wire(keyframe.T_map_lidar),
+        stamp_ns=keyframe.stamp_ns,
+        dense_cloud=keyframe.dense,
+    )
 
 
 def session_info(row: Row) -> pb.SessionInfo:

@@ -14,13 +14,15 @@ Array = NDArray[np.float64]
 class MapPiece:
     """The points of one keyframe: (N, 4) little-endian float32, x y z m in `map` and intensity 0 to 255.
 
-    stamp_ns: the scan's reference time, 0 where it is not known. T_map_lidar: (4, 4) at that time.
+    stamp_ns: the scan's reference time, 0 where it is not known. T_map_lidar: (4, 4) at that time. dense: they are all
+    that the sensor saw, not the features alone.
     """
 
     keyframe: int
     stamp_ns: int
     T_map_lidar: Array
     points_map: NDArray[np.float32]
+    dense: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

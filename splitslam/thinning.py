@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitslam._voxel_kernels import EMPTY, take
+from splitslam.maps import MapPiece
 
 MIN_VOXEL_M = 0.01
 MAX_VOXEL_M = 100.0
@@ -106,3 +108,14 @@ class TakenVoxels:
 def _table(room: int) -> NDArray[np.uint32]:
     """An empty one for `room` entries and as many again."""
     return np.full(1 << max(6, int(2 * room - 1).bit_length()), EMPTY, np.uint32)
+
+
+def thinned(pieces: Iterable[MapPiece], voxel_m: float) -> Iterator[MapPiece]:
+    """Each voxel of the whole map keeps its first point; all of them for 0."""
+    if voxel_m == 0:
+        yield from pieces
+        return
+    with TakenVoxels(voxel_m) as taken:
+        for piece in pieces:
+            kept = taken.first(piece.points_map[:, :3].astype(np.float64))
+            yield replace(piece, points_map=piece.points_map[kept])

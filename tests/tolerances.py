@@ -30,6 +30,18 @@ CODEC_FIXED_BYTES = 150
 # Bits a point of a dense VLP-16 frame, everything included (seen: 9.1 on yard1; Morton order + zstd: about 25).
 CODEC_DENSE_VLP16_BITS = 10.0
 
+# A point of a map in float32, 150 m from its origin: twice the spacing of its values there.
+FLOAT32_MAP_M = 3.2e-5
+
+# Points of an export with whole scans to those of one without: of some 25,500 returns a scan some 5,500 are features
+# already, so 4.7 times is all there is; the first keyframe has none.
+DENSE_POINTS = 4.2
+# Whole scans against the features of the same keyframes: how far they are off the made world's surfaces. Features are
+# deskewed again by the service; 2 cm steps are the same for both.
+DENSE_TO_LIVE = 1.2
+# TCP bytes of two runs with the same frames: reports and signs of life go by the clock.
+SAME_LIVE_BYTES = 0.02
+
 # SE(3) maps in float64: exp and log undo each other to rounding.
 SE3_ROUND_TRIP_RAD = 1e-9
 SE3_ROUND_TRIP_M = 1e-9
@@ -192,6 +204,10 @@ LIVE_ROS_ATE_M = 0.0035
 
 # Stamps by arrival: 80 ppm of drift over the 8 s in which the quickest message counts, and what messages are late by.
 LIVE_CLOCK_S = 1.5e-3
+
+# A lock that comes or goes: by how much a stamp's step may differ from the time that has passed. The sensor's period is
+# known by stamps of whole microseconds; the rest is what offsets move by on purpose, 1 ms a second.
+LOCK_STEP_S = 5e-5
 
 # What is drawn against what was answered: float32 at ten metres, and a quaternion in between.
 VIEW_M = 1e-5

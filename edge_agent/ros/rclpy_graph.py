@@ -23,10 +23,9 @@ class RclpyGraph:
         """Raises InputError without rclpy."""
         try:
             self._rclpy: Any = importlib.import_module("rclpy")
-        except ModuleNotFoundError as error:
-            raise InputError(
-                "ros2.via: rclpy is not there: expected a sourced ROS 2 of this Python's version"
-            ) from error
+        except ImportError as error:
+            what = "rclpy is not there" if getattr(error, "name", "") == "rclpy" else f"rclpy: {error}"
+            raise InputError(f"ros2.via: {what}: expected a sourced ROS 2 of this Python's version") from error
         rclpy = self._rclpy
         self._qos: Any = importlib.import_module("rclpy.qos")
         self._events: Any = importlib.import_module("rclpy.event_handler")

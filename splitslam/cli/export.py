@@ -33,6 +33,9 @@ def export(
     min_height: Annotated[float, typer.Option(metavar="M", help="Grid: over the ground, what is in the way.")] = 0.2,
     max_height: Annotated[float, typer.Option(metavar="M", help="Grid: over the ground, what is above it all.")] = 2.0,
     range_m: Annotated[float, typer.Option("--range", metavar="M", help="Grid: how far rays count.")] = 20.0,
+    dense: Annotated[
+        bool, typer.Option("--dense/--no-dense", help="Whole scans of keyframes where the robot has sent them.")
+    ] = True,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a session's map, trajectory, pose graph or occupancy grid to a file that others read."""
@@ -42,7 +45,7 @@ def export(
     from splitslam.run.progress import Progress
 
     grid = GridSettings(resolution, min_height, max_height, range_m)
-    options = ExportOptions(session, format_, server, store, tls, out, voxel, frame, force, grid)
+    options = ExportOptions(session, format_, server, store, tls, out, voxel, frame, force, grid, dense)
     with Progress(unit="parts") as progress:
         done = run_export(options, progress)
     print(f"{done.path}: {done.note}")

@@ -22,6 +22,10 @@ def view(
     site: Annotated[str, typer.Option(metavar="ID", help="This site alone.")] = "",
     session: Annotated[str, typer.Option(metavar="ID", help="What the service has stored of this session.")] = "",
     voxel: Annotated[float, typer.Option(metavar="M", help="The map is thinned to; 0: every point.")] = 0.1,
+    points: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Of all maps at most, beyond: coarser; 0: no bound. [20000 with --web, else 0]"),
+    ] = None,
     memory: Annotated[
         str, typer.Option(metavar="SIZE", help="Kept for who opens later, and by the window; the oldest goes.")
     ] = "1GiB",
@@ -47,7 +51,7 @@ def view(
         tls = ClientTls(ca=ca, cert=cert, key=key, token=token, insecure=insecure)
     except ValidationError as error:
         raise InputError(f"splitslam view: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
-    options = ViewOptions(target, save, web, browser, port, web_port, memory, voxel, robot, site, session, seconds, tls)
+    options = ViewOptions(target, save, web, browser, port, web_port, memory, voxel, points, robot, site, session, seconds, tls)
     check_view_installed()
     from splitslam.view.command import run_view
 

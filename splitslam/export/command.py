@@ -25,7 +25,7 @@ FRAMES = ("auto", "map", "utm")
 class ExportOptions:
     """One export. session: ROBOT/RUN, or the folder of a run. out None: the format's own name, here.
 
-    frame: of clouds; auto: utm when GNSS has told where the map lies.
+    frame: of clouds; auto: utm when GNSS has told where the map lies. dense: whole scans where there are any.
     """
 
     session: str
@@ -38,6 +38,7 @@ class ExportOptions:
     frame: str = "auto"
     force: bool = False
     grid: GridSettings = field(default_factory=GridSettings)
+    dense: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,8 @@ def export(options: ExportOptions, progress: Progress) -> Exported:
         for target in (path, second):
             if target is not None:
                 check_target(target, options.force)
-        source = stack.enter_context(open_source(options.session, options.server, options.store, options.tls))
+        where = options.server, options.store, options.tls, options.dense
+        source = stack.enter_context(open_source(options.session, *where))
         main = stack.enter_context(complete(path, options.force))
         # the second one is in its place before the first, which names it
         beside = None if second is None else stack.enter_context(complete(second, options.force))
@@ -97,9 +99,10 @@ def _write(
 
 def _cloud(wanted: Format, source: MapSource, options: ExportOptions, progress: Progress, path: Path) -> str:
     placing = _placing(source, options, progress)
-    pieces = counted(source.pieces(options.voxel_m), source.pieces_expected, progress.made)
+    dense = DenseCount(source.pieces(options.voxel_m))
+    pieces = counted(dense, source.pieces_expected, progress.made)
     count = cloud_writer(wanted.name)(path, pieces, placing, source.name)
-    return f"{count} points, {placing.description}"
+    return f"{count} points, {placing.description}{dense.note}"
 
 
 def cloud_writer(name: str) -> Callable[[Path, Iterable[MapPiece], Placing, str], int]:
@@ -127,6 +130,25 @@ def counted(pieces: Iterable[MapPiece], expected: int | None, made: Callable[[in
         yield piece
         if expected is not None:
             made(done, max(done, expected))
+
+
+class DenseCount:
+    """The same pieces, once; afterwards it says how many were whole scans."""
+
+    def __init__(self, pieces: Iterable[MapPiece]) -> None:
+        self._pieces = pieces
+        self.keyframes = self.dense = 0
+
+    def __iter__(self) -> Iterator[MapPiece]:
+        for piece in self._pieces:
+            self.keyframes += 1
+            self.dense += piece.dense
+            yield piece
+
+    @property
+    def note(self) -> str:
+        """For people; nothing where there was none."""
+        return f"; {self.dense} of {self.keyframes} keyframes dense" if self.dense else ""
 
 
 def _placing(source: MapSource, options: ExportOptions, progress: Progress) -> Placing:
@@ -186,10 +208,11 @@ def _grid(source: MapSource, options: ExportOptions, progress: Progress, paths: 
     if not source.has_keyframes:
         raise InputError(_NO_KEYFRAMES.format(name=source.name, what="keyframes"))
     yaml, image, image_name = paths
-    pieces = counted(source.pieces(0.0), source.pieces_expected, progress.made)
+    dense = DenseCount(source.pieces(0.0))
+    pieces = counted(dense, source.pieces_expected, progress.made)
     grid = write_grid(yaml, image, image_name, pieces, options.grid, progress.made)
     cells = f"{grid.occupied} occupied, {grid.free} free"
-    return f"{grid.columns} x {grid.rows} cells of {options.grid.resolution_m:g} m, {cells}"
+    return f"{grid.columns} x {grid.rows} cells of {options.grid.resolution_m:g} m, {cells}{dense.note}"
 
 
 _NO_KEYFRAMES = (

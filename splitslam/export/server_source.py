@@ -8,20 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from splitslam import config, se3
+from splitslam import config
 from splitslam.maps import AntennaFix, Between, MapGraph, MapPiece
-from splitslam.run.session_client import SessionClient, session_client
+from splitslam.run.session_client import SessionClient, points_of, session_client, square
 from splitslam.security.settings import ClientTls
+from splitslam.thinning import thinned
 from splitslam.tum import Trajectory
 from splitslam.wire import session_pb2 as pb
-from splitslam.wire import types_pb2 as types
 
 
 class ServerSource:
     """One session of a server."""
 
-    def __init__(self, client: SessionClient, name: str) -> None:
-        self._client, self._name = client, name
+    def __init__(self, client: SessionClient, name: str, dense: bool = True) -> None:
+        """dense: whole scans of keyframes where there are any."""
+        self._client, self._name, self._dense = client, name, dense
         info, _ = client.info()
         self._keyframes = info.keyframes
 
@@ -39,9 +40,8 @@ class ServerSource:
 
     def pieces(self, voxel_m: float) -> Iterator[MapPiece]:
         """As MapSource."""
-        for message in self._client.map_messages(voxel_m):
-            points = np.frombuffer(message.points, "<f4").reshape(-1, 4)
-            yield MapPiece(message.keyframe, message.stamp_ns, _square(message.pose_map_lidar), points)
+        pieces = map(_piece, self._client.map_messages(voxel_m, dense=self._dense))
+        return thinned(pieces, voxel_m) if self._dense else pieces
 
     def trajectory(self) -> Trajectory:
         """As MapSource."""
@@ -53,13 +53,13 @@ class ServerSource:
 
 
 @contextmanager
-def server_source(session_id: str, address: str, tls: Path | None) -> Iterator[ServerSource]:
+def server_source(session_id: str, address: str, tls: Path | None, dense: bool = True) -> Iterator[ServerSource]:
     """tls: YAML like the agent's section of that name; the environment (SPLITSLAM_TLS__CA, ...) overrides it.
 
     Raises InputError for an address or certificates that cannot be used.
     """
     with session_client(address, session_id, config.load(ClientTls, tls, "SPLITSLAM_TLS__")) as client:
-        yield ServerSource(client, session_id)
+        yield ServerSource(client, session_id, dense)
 
 
 def graph_from_wire(messages: list[pb.PoseGraphResponse]) -> MapGraph:
@@ -68,11 +68,11 @@ def graph_from_wire(messages: list[pb.PoseGraphResponse]) -> MapGraph:
     first = messages[0]
     origin = first.origin
     return MapGraph(
-        T_map_lidar=np.array([_square(k.pose_map_lidar) for k in keyframes]).reshape(-1, 4, 4),
+        T_map_lidar=np.array([square(k.pose_map_lidar) for k in keyframes]).reshape(-1, 4, 4),
         stamps_ns=np.array([k.stamp_ns for k in keyframes], np.int64),
         betweens=[_between(edge) for message in messages for edge in message.edges],
         fixes=[_fix(fix) for message in messages for fix in message.fixes],
-        T_enu_map={d.datum: _square(d.pose_enu_map) for d in first.data},
+        T_enu_map={d.datum: square(d.pose_enu_map) for d in first.data},
         origin=(origin.latitude_deg, origin.longitude_deg, origin.altitude_m) if first.HasField("origin") else None,
         others=dict(first.others),
     )
@@ -80,7 +80,7 @@ def graph_from_wire(messages: list[pb.PoseGraphResponse]) -> MapGraph:
 
 def _between(edge: pb.GraphEdge) -> Between:
     covariance = np.reshape(edge.covariance, (6, 6))
-    return Between(edge.kind, edge.older, edge.newer, _square(edge.pose_older_newer), covariance, edge.robust)
+    return Between(edge.kind, edge.older, edge.newer, square(edge.pose_older_newer), covariance, edge.robust)
 
 
 def _fix(fix: pb.GraphFix) -> AntennaFix:
@@ -88,5 +88,6 @@ def _fix(fix: pb.GraphFix) -> AntennaFix:
     return AntennaFix(fix.keyframe, antenna, enu_m, sigmas_m, fix.datum)
 
 
-def _square(pose: types.Transform) -> np.ndarray:
-    return se3.from_quat(np.array([pose.tx_m, pose.ty_m, pose.tz_m]), np.array([pose.qx, pose.qy, pose.qz, pose.qw]))
+def _piece(message: pb.StreamMapResponse) -> MapPiece:
+    T_map_lidar, dense = square(message.pose_map_lidar), bool(message.dense_cloud)
+    return MapPiece(message.keyframe, message.stamp_ns, T_map_lidar, points_of(message), dense)

@@ -44,19 +44,22 @@ class MapSource(Protocol):
 
 
 def open_source(
-    session: str, server: str | None, store: str | None, tls: Path | None
+    session: str, server: str | None, store: str | None, tls: Path | None, dense: bool = True
 ) -> AbstractContextManager[MapSource]:
-    """The source of SESSION: a server (tls: YAML), a store, or the folder SESSION itself. Raises InputError."""
+    """The source of SESSION: a server (tls: YAML), a store, or the folder SESSION itself. Raises InputError.
+
+    dense: of a server or a store, whole scans of keyframes where there are any.
+    """
     if server is not None and store is not None:
         raise InputError("--server, --store: expected one of them, found both")
     if store is not None:
         from splitslam.export.store_source import store_source
 
-        return store_source(session, store)
+        return store_source(session, store, dense)
     if server is not None:
         from splitslam.export.server_source import server_source
 
-        return server_source(session, server, tls)
+        return server_source(session, server, tls, dense)
     from splitslam.export.folder_source import folder_source
 
     if not Path(session).is_dir():

@@ -14,9 +14,9 @@ from splitslam.tum import Trajectory
 class StoreSource:
     """A row of the store's sessions with what belongs to it."""
 
-    def __init__(self, catalog, row) -> None:
-        """catalog: map_service.catalog.Catalog; row: of its sessions."""
-        self._catalog, self._row = catalog, row
+    def __init__(self, catalog, row, dense: bool = True) -> None:
+        """catalog: map_service.catalog.Catalog; row: of its sessions. dense: whole scans where there are any."""
+        self._catalog, self._row, self._dense = catalog, row, dense
 
     @property
     def name(self) -> str:
@@ -34,7 +34,7 @@ class StoreSource:
         """As MapSource."""
         from map_service.export import map_pieces
 
-        with closing(self._catalog.keyframes(self._row.id)) as keyframes:
+        with closing(self._catalog.keyframes(self._row.id, dense=self._dense)) as keyframes:
             yield from map_pieces(keyframes, voxel_m)
 
     def trajectory(self) -> Trajectory:
@@ -51,7 +51,7 @@ class StoreSource:
 
 
 @contextmanager
-def store_source(session_id: str, url: str) -> Iterator[StoreSource]:
+def store_source(session_id: str, url: str, dense: bool = True) -> Iterator[StoreSource]:
     """Raises InputError for a store or session that is not there, damaged rows, a store that fails."""
     check_installed(("server",))
     from map_service import database
@@ -64,7 +64,7 @@ def store_source(session_id: str, url: str) -> Iterator[StoreSource]:
         catalog = Catalog(store)
         if (row := catalog.session(session_id)) is None:
             raise InputError(f"{database.shown(url)}: no session {session_id!r}")
-        yield StoreSource(catalog, row)
+        yield StoreSource(catalog, row, dense)
     except DataError as error:
         raise InputError(f"session {session_id!r}: {error} (see `map-service store check`)") from None
     except database.StoreError as error:

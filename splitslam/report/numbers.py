@@ -50,4 +50,5 @@ def assemble(
         "cpu_ms_per_scan": {name: cpu_ms[name] for name in ("edge", "map", "reader")},
         "store_bytes": session.store_bytes,
         **{name: edge[name] for name in _FROM_EDGE},
+        "dense": edge.get("dense"),  # an agent of before knows none
     }

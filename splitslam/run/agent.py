@@ -22,13 +22,15 @@ class Watcher:
     """What is told about a run while it goes on.
 
     expected: how many scans there will be, None when unknown. scan: how many have been read and mapped.
-    note: a line the agent has for the user. alive: called often; raises to end the run.
+    note: a line the agent has for the user. alive: called often; raises to end the run. dense: whole scans that have
+    been sent after the last one, and those that have not.
     """
 
     expected: Callable[[int | None], None]
     scan: Callable[[int, int], None]
     note: Callable[[str], None]
     alive: Callable[[], None]
+    dense: Callable[[int, int], None] = lambda sent, waiting: None
 
 
 def run_agent(command: tuple[str, ...], config: Path, watcher: Watcher) -> None:
@@ -90,6 +92,8 @@ def _take(line: tuple[str, str], watcher: Watcher, notes: _Notes) -> None:
         elif event == "scan":
             notes.scans_flow()
             watcher.scan(message["read"], message["mapped"])
+        elif event == "dense":
+            watcher.dense(message["sent"], message["waiting"])
     except (ValueError, TypeError, KeyError):
         notes.add(text)
 

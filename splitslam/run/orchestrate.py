@@ -67,7 +67,7 @@ def run_recording(options: RunOptions, progress: Progress, programs: Programs = 
                 agent_config = agent_config.model_copy(update={"server": service.address})
                 alive = service.check
             progress.stage("starting the edge agent")
-            watcher = Watcher(progress.expected, progress.scan, progress.note, alive)
+            watcher = Watcher(progress.expected, progress.scan, progress.note, alive, progress.dense)
             with _recording(options, stage, agent_config, progress):
                 run_agent(programs.edge_agent, _written(stage.work / "edge.yaml", agent_config), watcher)
             progress.stage("fetching trajectory and map")

@@ -49,6 +49,10 @@ class Progress:
         """So many scans are done."""
         self._bar.update(self._task, completed=mapped)
 
+    def dense(self, sent: int, waiting: int) -> None:
+        """After the last scan, so many dense keyframes are with the service, so many wait."""
+        self._bar.update(self._task, description="sending dense keyframes", completed=sent, total=sent + waiting)
+
     def note(self, text: str) -> None:
         """A line for the user."""
         self._console.print(text, style="dim", markup=False, highlight=False, soft_wrap=True)

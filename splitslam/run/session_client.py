@@ -9,7 +9,10 @@ from typing import Any
 
 import grpc
 import numpy as np
+from numpy.typing import NDArray
 
+from splitslam import dense_cloud, se3
+from splitslam.errors import DataError
 from splitslam.run.processes import RunFailedError
 from splitslam.run.tables import KeyframeRow
 from splitslam.security.client import Connector
@@ -54,16 +57,19 @@ class SessionClient:
     def map_pieces(self) -> Iterator[bytes]:
         """Points of one keyframe after the other; the keyframes themselves gather in `keyframes`."""
         with _named("StreamMap"):
-            request = pb.StreamMapRequest(session_id=self._id)
-            for piece in self._stub.StreamMap(request, timeout=_STREAM_S, metadata=self._metadata):
-                pose = _numbers(piece.pose_map_lidar)
-                self.keyframes.append(KeyframeRow(piece.keyframe, piece.point_count, pose))
-                yield piece.points
+            request = pb.StreamMapRequest(session_id=self._id, dense=True)
+            for message in self._stub.StreamMap(request, timeout=_STREAM_S, metadata=self._metadata):
+                points = points_of(message)
+                self.keyframes.append(KeyframeRow(message.keyframe, len(points), _numbers(message.pose_map_lidar)))
+                yield points.tobytes()
 
-    def map_messages(self, voxel_m: float) -> Iterator[pb.StreamMapResponse]:
-        """Every keyframe with its points; with voxel_m > 0 one point a voxel. A large map may take its time."""
+    def map_messages(self, voxel_m: float, *, dense: bool = False) -> Iterator[pb.StreamMapResponse]:
+        """Every keyframe with its points; with voxel_m > 0 one point a voxel. A large map may take its time.
+
+        dense: as whole scans where there are any, and then not thinned.
+        """
         with _named("StreamMap"):
-            request = pb.StreamMapRequest(session_id=self._id, voxel_m=voxel_m)
+            request = pb.StreamMapRequest(session_id=self._id, voxel_m=0.0 if dense else voxel_m, dense=dense)
             yield from self._stub.StreamMap(request, timeout=_LONG_S, metadata=self._metadata)
 
     def graph_messages(self) -> Iterator[pb.PoseGraphResponse]:
@@ -71,6 +77,22 @@ class SessionClient:
         with _named("PoseGraph"):
             request = pb.PoseGraphRequest(session_id=self._id)
             yield from self._stub.PoseGraph(request, timeout=_STREAM_S, metadata=self._metadata)
+
+
+def points_of(message: pb.StreamMapResponse) -> NDArray[np.float32]:
+    """(N, 4) x y z, m, in `map`, and intensity. Raises RunFailedError for a whole scan that cannot be read."""
+    if not message.dense_cloud:
+        return np.frombuffer(message.points, "<f4").reshape(-1, 4)
+    try:
+        return dense_cloud.in_map(message.dense_cloud, square(message.pose_map_lidar))
+    except DataError as error:
+        raise RunFailedError(f"map service: keyframe {message.keyframe}: {error}") from None
+
+
+def square(pose: types.Transform) -> NDArray[np.float64]:
+    """(4, 4)."""
+    values = np.array(_numbers(pose))
+    return se3.from_quat(values[:3], values[3:])
 
 
 def as_trajectory(poses: list[types.StampedPose]) -> Trajectory:

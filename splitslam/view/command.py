@@ -55,7 +55,7 @@ def _view(options: ViewOptions) -> None:
 def _view_folder(folder: Path, options: ViewOptions) -> None:
     run = read_folder(folder)
     with _recording(options, layout(eye_over(run.trajectory.positions_m))) as (recording, server):
-        show_folder(run, Scene(recording, options.voxel_m))
+        show_folder(run, Scene(recording, options.voxel_m, options.most_points))
         if server is not None:
             _wait(options, server)
 
@@ -63,7 +63,7 @@ def _view_folder(folder: Path, options: ViewOptions) -> None:
 def _view_session(options: ViewOptions) -> None:
     connector = Connector(options.target, options.tls)
     with _recording(options, layout(AT_THE_START)) as (recording, server):
-        show_session(options.session_id, connector, Scene(recording, options.voxel_m))
+        show_session(options.session_id, connector, Scene(recording, options.voxel_m, options.most_points))
         if server is not None:
             _wait(options, server)
 
@@ -71,7 +71,7 @@ def _view_session(options: ViewOptions) -> None:
 def _view_service(options: ViewOptions) -> None:
     connector = Connector(options.target, options.tls)
     with _recording(options, layout(AT_THE_START)) as (recording, server):
-        view = LiveView(Scene(recording, options.voxel_m), connector, _note, options.robot_id, options.site_id)
+        view = LiveView(Scene(recording, options.voxel_m, options.most_points), connector, _note, options.robot_id, options.site_id)
         going_on = _Until(options.seconds, server)
         try:
             view.run(going_on)

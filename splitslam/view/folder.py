@@ -127,6 +127,7 @@ def _show_map(run: RunFolder, robot: RobotScene) -> dict[int, int]:
         T = se3.from_quat(np.array(row.pose[:3]), np.array(row.pose[3:]))
         taken_ns[row.keyframe] = stamp_ns = stamps.of(T[:3, 3])
         points = in_own_frame(run.points_map[at : at + row.points, :3], T)
-        robot.keyframe(stamp_ns, row.keyframe, T, points)
+        robot.stored_keyframe(stamp_ns, row.keyframe, T, points)
         at += row.points
+    robot.settle()
     return taken_ns

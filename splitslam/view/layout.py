@@ -48,7 +48,11 @@ def layout(eye: Eye) -> rrb.Blueprint:
         rrb.TimeSeriesView(origin="/latency", name="Latency, ms"),
         rrb.TimeSeriesView(origin="/uplink", name="Uplink, kbit/s"),
         rrb.TimeSeriesView(origin="/doubt", name="Position, 1 sigma, mm"),
-        rrb.TextLogView(origin="/events", name="Events"),
+        rrb.TextLogView(
+            origin="/events",
+            name="Events",
+            columns=rrb.TextLogColumns(timeline_columns=[], text_log_columns=["body", "entitypath"]),
+        ),
     )
     time = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following")
     return rrb.Blueprint(rrb.Vertical(world, plots, row_shares=[7, 3]), time, collapse_panels=True)

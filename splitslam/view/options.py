@@ -10,6 +10,8 @@ from pathlib import Path
 from splitslam.errors import InputError
 from splitslam.security.settings import ClientTls
 
+WEB_POINTS = 20_000
+_FEWEST_POINTS = 1000
 DEFAULT_SERVER = "127.0.0.1:50051"
 _MEMORY = re.compile(r"[1-9]\d*(MB|GB|MiB|GiB)|[1-9]\d?%")
 _SERVER = re.compile(r"(\[[0-9a-fA-F:]+\]|[^:/\s]+):(\d{1,5})")
@@ -21,7 +23,9 @@ class ViewOptions:
 
     save: write a .rrd instead of showing it. web: show it in a browser (open_browser: and open one), else in Rerun's
     own window. port, web_port: of the data and of the page, on loopback; 0: any. memory: what is kept for who opens
-    later, and by Rerun's window; beyond it the oldest goes. voxel_m: of the map as it is shown. robot_id, site_id:
+    later, and by Rerun's window; beyond it the oldest goes. voxel_m: of the map as it is shown. points: of all maps
+    together at most, beyond it the voxels grow; 0: no bound; None: what a browser without a GPU draws ten times a second,
+    with `web`, else no bound. robot_id, site_id:
     these alone; "": all. session_id: what is stored of this one, which need not run any more, instead of what comes.
     seconds: end after so long; None: when Ctrl-C or the window ends it.
     """
@@ -34,6 +38,7 @@ class ViewOptions:
     web_port: int = 0
     memory: str = "1GiB"
     voxel_m: float = 0.1
+    points: int | None = None
     robot_id: str = ""
     site_id: str = ""
     session_id: str = ""
@@ -56,8 +61,17 @@ class ViewOptions:
             raise InputError(f"--memory: expected a size such as 500MB, 2GiB or 25%, found {self.memory!r}")
         if not (self.voxel_m == 0 or 0.01 <= self.voxel_m <= 100):
             raise InputError(f"--voxel: expected 0 or 0.01 to 100 m, found {self.voxel_m:g}")
+        if self.points is not None and self.points != 0 and self.points < _FEWEST_POINTS:
+            raise InputError(f"--points: expected 0 or at least {_FEWEST_POINTS}, found {self.points}")
         if self.seconds is not None and not self.seconds > 0:
             raise InputError(f"--seconds: expected more than 0, found {self.seconds:g}")
+
+    @property
+    def most_points(self) -> int:
+        """Of all maps together; 0: no bound."""
+        if self.points is not None:
+            return self.points
+        return WEB_POINTS if self.web else 0
 
     @property
     def folder(self) -> Path | None:

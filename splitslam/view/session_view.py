@@ -64,8 +64,8 @@ class SessionView:
                 text = f"{len(moved_m)} keyframes moved, by {max(moved_m):.2f} m at most"
                 self.robot.event(self._stamp_ns, text)
         self._poses.update(poses)
-        for index, T in poses.items():
-            self.robot.move(self._stamp_ns, index, T)
+        if poses:
+            self.robot.move(self._stamp_ns, poses)
 
     def _factors(self, message: view_pb2.MapSeen, moved: bool) -> None:
         if len(message.loops):
@@ -96,16 +96,17 @@ class SessionView:
         self._history, self._stamps = trajectory, KeyframeStamps(trajectory)
 
     def take_keyframe(self, stored: ShownKeyframe) -> None:
-        """Shown where the newest correction has put it, at the time when it was taken."""
+        """Shown where the newest correction has put it, at the time when it was taken or its block was complete."""
         if self.robot.shows(stored.index):
             return
         T = self._poses.setdefault(stored.index, stored.T_map_lidar)
         stamp_ns = self._stamps.of(stored.T_map_lidar[:3, 3]) if self._stamps else self._stamp_ns
         self._taken_ns[stored.index] = stamp_ns
-        self.robot.keyframe(stamp_ns, stored.index, T, stored.points_lidar)
+        self.robot.stored_keyframe(stamp_ns, stored.index, T, stored.points_lidar)
 
     def fetched(self) -> None:
         """All that was wanted is there: the way until the first scan that was seen here hangs on its keyframes."""
+        self.robot.settle()
         if self._history is not None and self._taken_ns:
             before = self._history.stamps_ns < (self._first_ns or np.iinfo(np.int64).max)
             show_way(self.robot, self._history[before], self._taken_ns)

@@ -13,14 +13,14 @@ class Thinner:
 
     def __init__(self, voxel_m: float) -> None:
         """voxel_m: 0: every point stays."""
-        self._voxel_m = voxel_m
+        self.voxel_m = voxel_m
         self._taken: set[int] = set()
 
     def kept(self, points_map: NDArray) -> NDArray[np.intp]:
         """Rows of points (N, 3), m, that are the first in their voxel, in order."""
-        if self._voxel_m <= 0:
+        if self.voxel_m <= 0:
             return np.arange(len(points_map))
-        cells = np.floor(np.asarray(points_map, np.float64) / self._voxel_m).astype(np.int64) + _OFFSET
+        cells = np.floor(np.asarray(points_map, np.float64) / self.voxel_m).astype(np.int64) + _OFFSET
         keys, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
         new = np.array([key not in self._taken for key in keys.tolist()], bool)
         self._taken.update(keys[new].tolist())

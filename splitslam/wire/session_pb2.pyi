@@ -125,7 +125,7 @@ class StreamRequest(_message.Message):
     def __init__(self, hello: _Optional[_Union[Hello, _Mapping]] = ..., frame: _Optional[_Union[Frame, _Mapping]] = ..., bye: _Optional[_Union[Bye, _Mapping]] = ..., report: _Optional[_Union[EdgeReport, _Mapping]] = ...) -> None: ...
 
 class Welcome(_message.Message):
-    __slots__ = ("epoch", "durable_seq", "applied_seq", "last_poses", "pose_map_odom", "wire_version", "codec_version", "session_id", "service_version")
+    __slots__ = ("epoch", "durable_seq", "applied_seq", "last_poses", "pose_map_odom", "wire_version", "codec_version", "session_id", "service_version", "takes_dense")
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     DURABLE_SEQ_FIELD_NUMBER: _ClassVar[int]
     APPLIED_SEQ_FIELD_NUMBER: _ClassVar[int]
@@ -135,6 +135,7 @@ class Welcome(_message.Message):
     CODEC_VERSION_FIELD_NUMBER: _ClassVar[int]
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     SERVICE_VERSION_FIELD_NUMBER: _ClassVar[int]
+    TAKES_DENSE_FIELD_NUMBER: _ClassVar[int]
     epoch: int
     durable_seq: int
     applied_seq: int
@@ -144,7 +145,8 @@ class Welcome(_message.Message):
     codec_version: int
     session_id: str
     service_version: str
-    def __init__(self, epoch: _Optional[int] = ..., durable_seq: _Optional[int] = ..., applied_seq: _Optional[int] = ..., last_poses: _Optional[_Iterable[_Union[_types_pb2.StampedPose, _Mapping]]] = ..., pose_map_odom: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., wire_version: _Optional[int] = ..., codec_version: _Optional[int] = ..., session_id: _Optional[str] = ..., service_version: _Optional[str] = ...) -> None: ...
+    takes_dense: bool
+    def __init__(self, epoch: _Optional[int] = ..., durable_seq: _Optional[int] = ..., applied_seq: _Optional[int] = ..., last_poses: _Optional[_Iterable[_Union[_types_pb2.StampedPose, _Mapping]]] = ..., pose_map_odom: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., wire_version: _Optional[int] = ..., codec_version: _Optional[int] = ..., session_id: _Optional[str] = ..., service_version: _Optional[str] = ..., takes_dense: bool = ...) -> None: ...
 
 class Odometry(_message.Message):
     __slots__ = ("seq", "stamp_ns", "pose_map_lidar", "pose_map_odom", "covariance", "state", "degenerate_axes", "correction", "applied_seq", "durable_seq", "keyframe", "duplicate", "rejected", "map_version")
@@ -333,28 +335,32 @@ class TrajectoryResponse(_message.Message):
     def __init__(self, poses: _Optional[_Iterable[_Union[_types_pb2.StampedPose, _Mapping]]] = ...) -> None: ...
 
 class StreamMapRequest(_message.Message):
-    __slots__ = ("session_id", "voxel_m", "first_keyframe")
+    __slots__ = ("session_id", "voxel_m", "first_keyframe", "dense")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     VOXEL_M_FIELD_NUMBER: _ClassVar[int]
     FIRST_KEYFRAME_FIELD_NUMBER: _ClassVar[int]
+    DENSE_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     voxel_m: float
     first_keyframe: int
-    def __init__(self, session_id: _Optional[str] = ..., voxel_m: _Optional[float] = ..., first_keyframe: _Optional[int] = ...) -> None: ...
+    dense: bool
+    def __init__(self, session_id: _Optional[str] = ..., voxel_m: _Optional[float] = ..., first_keyframe: _Optional[int] = ..., dense: bool = ...) -> None: ...
 
 class StreamMapResponse(_message.Message):
-    __slots__ = ("keyframe", "pose_map_lidar", "points", "point_count", "stamp_ns")
+    __slots__ = ("keyframe", "pose_map_lidar", "points", "point_count", "stamp_ns", "dense_cloud")
     KEYFRAME_FIELD_NUMBER: _ClassVar[int]
     POSE_MAP_LIDAR_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     POINT_COUNT_FIELD_NUMBER: _ClassVar[int]
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    DENSE_CLOUD_FIELD_NUMBER: _ClassVar[int]
     keyframe: int
     pose_map_lidar: _types_pb2.Transform
     points: bytes
     point_count: int
     stamp_ns: int
-    def __init__(self, keyframe: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., points: _Optional[bytes] = ..., point_count: _Optional[int] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
+    dense_cloud: bytes
+    def __init__(self, keyframe: _Optional[int] = ..., pose_map_lidar: _Optional[_Union[_types_pb2.Transform, _Mapping]] = ..., points: _Optional[bytes] = ..., point_count: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., dense_cloud: _Optional[bytes] = ...) -> None: ...
 
 class PoseGraphRequest(_message.Message):
     __slots__ = ("session_id",)

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from splitslam.bench.in_one_process import Network
 from tests import tolerances as bars
-from tests.conftest import ROOT
+from tests.typed import typed
 
 SCANS = 150
-
-
-def bench(*arguments: object) -> tuple[int, str, str]:
-    command = [sys.executable, "-m", "splitslam.cli", "bench", "delay", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=280)
-    return done.returncode, done.stdout, done.stderr
+bench = partial(typed, "splitslam", "bench", "delay")
 
 
 def test_it_writes_json_and_picture_of_every_delay_and_of_the_imu_node_alone(shared_data: Path, tmp_path: Path):

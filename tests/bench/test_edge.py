@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +15,10 @@ from splitslam.errors import InputError
 from splitslam.robot import load_robot
 from splitslam.scan import Scan
 from splitslam.sim.grid_lidar import Grid
-from tests.conftest import ROOT
+from tests.typed import typed
 
 SMALL = Grid(24, 256)
-
-
-def bench(*arguments: object) -> tuple[int, str, str]:
-    command = [sys.executable, "-m", "splitslam.cli", "bench", "edge", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=400)
-    return done.returncode, done.stdout, done.stderr
+bench = partial(typed, "splitslam", "bench", "edge")
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +14,10 @@ from splitslam.bench.load.trial import largest
 from splitslam.stack.reel import Reel
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
+from tests.typed import typed
 
 SECONDS = 4
-
-
-def bench(*arguments: object) -> tuple[int, str, str]:
-    command = [sys.executable, "-m", "splitslam.cli", "bench", "load", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    return done.returncode, done.stdout, done.stderr
+bench = partial(typed, "splitslam", "bench", "load")
 
 
 def two_frames() -> Account:

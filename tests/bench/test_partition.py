@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +15,11 @@ from splitslam.bench import laz
 from splitslam.bench.in_one_process import Seen, run_both
 from splitslam.robot import load_robot
 from splitslam.tum import read_tum
-from tests.conftest import ROOT
 from tests.e2e.commands import run
+from tests.typed import typed
 
 SCANS = 12
-
-
-def bench(*arguments: object) -> tuple[int, str, str]:
-    command = [sys.executable, "-m", "splitslam.cli", "bench", "partition", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=400)
-    return done.returncode, done.stdout, done.stderr
+bench = partial(typed, "splitslam", "bench", "partition")
 
 
 @pytest.fixture(scope="module")

@@ -94,7 +94,7 @@ def test_delay_is_one_way_and_costs_no_throughput(link: Link):
         while len(back) < 20:
             back += end.recv(100)
         assert back == bytes(range(20))
-        assert time.monotonic() - start_s < 1.5, "one after the other they would take 6 s"
+        assert time.monotonic() - start_s < 3.0, "one after the other they would take 6 s"
 
 
 def test_a_lost_packet_is_a_stall_and_not_a_hole(link: Link):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +14,15 @@ import yaml
 from splitslam import se3
 from tests import tolerances
 from tests.conftest import ROOT
+from tests.typed import typed
 
 MIRRORED = {"point_times": "mirrored"}
 Answer = tuple[int, dict[str, Any], str]
 
 
 def check(recording: Path, robot: Path, *options: str) -> Answer:
-    command = [
-        sys.executable,
-        "-m",
-        "splitslam.cli",
-        "check",
-        str(recording),
-        "--robot",
-        str(robot),
-        "--json",
-        *options,
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=200)
-    return done.returncode, json.loads(done.stdout) if done.stdout else {}, done.stderr
+    exit_code, out, err = typed("splitslam", "check", recording, "--robot", robot, "--json", *options)
+    return exit_code, json.loads(out) if out else {}, err
 
 
 def changed(robot: Path, folder: Path, **sections: Any) -> Path:
@@ -128,12 +116,11 @@ def test_several_mistakes_are_a_line_each(shared_data: Path, tmp_path: Path) -> 
 def test_for_people_each_problem_is_one_line_on_stdout(shared_data: Path, tmp_path: Path) -> None:
     recording = shared_data / "yard1" / "yard1.bag"
     robot = changed(recording.with_suffix(".yaml"), tmp_path, lidar={"model": "hdl32", "rings": 32})
-    command = [sys.executable, "-m", "splitslam.cli", "check", str(recording), "--robot", str(robot), "--seconds", "6"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=200)
-    assert done.returncode == 1
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("problem: ")]
+    exit_code, out, _ = typed("splitslam", "check", recording, "--robot", robot, "--seconds", "6")
+    assert exit_code == 1
+    (line,) = [line for line in out.splitlines() if line.startswith("problem: ")]
     assert line == "problem: lidar.model: hdl32, but packets come from a vlp16; expected vlp16"
-    assert "Table I" in done.stdout
+    assert "Table I" in out
 
 
 @pytest.mark.parametrize(

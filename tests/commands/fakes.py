@@ -48,6 +48,9 @@ def edge_json() -> dict:
         "cpu_ms_per_scan": {"edge": 3.0, "reader": 2.0},
         "uplink": {
             "bytes": 60_000,
+            "live_bytes": 59_000,
+            "live_kbps": 390.0,
+            "dense_bytes": 1000,
             "payload_bytes": 50_000,
             "payload_sha256": "0" * 64,
             "kbps": 400.0,
@@ -59,6 +62,7 @@ def edge_json() -> dict:
             "withheld_points": 0,
         },
         "downlink": {"bytes": 6000, "kbps": 40.0},
+        "dense": {"sent": 1, "waiting": 0, "dropped": {"full": 2}, "bytes": 1000},
         "round_trip_ms": times,
         "jumps": {"odom_max_m": 0.0, "odom_max_deg": 0.0, "map_count": 0, "map_max_m": 0.0},
         "wheels": {"factors": 7, "slips": 1, "scale": 0.01},

@@ -15,6 +15,7 @@ import pytest
 from splitslam.run.options import RunOptions
 from tests.commands import fakes
 from tests.conftest import ROOT
+from tests.typed import typed
 
 
 def splitslam(*arguments: object, fake: tuple[str, str] | None = None, **environment: str) -> subprocess.Popen[str]:
@@ -59,10 +60,14 @@ def finished(*arguments: object, fake: tuple[str, str] | None = None) -> tuple[i
     ],
 )
 def test_bad_input_is_one_line_on_stderr_and_exit_code_2(arguments: list[str], expected: str):
-    exit_code, out, err = finished(*arguments)
+    exit_code, out, err = typed("splitslam", *arguments)
     assert (exit_code, out) == (2, "")
     assert expected in err
     assert err.count("\n") == 1
+
+
+def test_the_process_says_it_too():
+    assert finished("evil") == typed("splitslam", "evil")
 
 
 def test_help_is_there_before_numba_and_gtsam_are():

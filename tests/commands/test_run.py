@@ -63,6 +63,7 @@ _WHOLE = (
     "deskew.troubles.",
     "gnss_rejected.",
     "outages.scans.",
+    "dense.dropped.",
     "evaluation.trajectory.",
     "evaluation.online.",
 )

@@ -20,6 +20,7 @@ from splitslam.diagnose.agent import _rates
 from splitslam.diagnose.raw import RawPart
 from tests.edge_agent.test_daemon import standing_service
 from tests.systemd.manager import Manager
+from tests.typed import typed
 
 EXECUTABLES = Path(sys.executable).parent
 SCANS = 40
@@ -197,13 +198,13 @@ def test_a_robot_elsewhere_gives_its_metrics_and_one_that_is_not_there_is_said(t
 def test_what_cannot_be_diagnosed_is_one_line_and_leaves_nothing(arguments: tuple[str, ...], line: str, tmp_path: Path):
     names = {"empty": str(tmp_path / "empty"), "missing": str(tmp_path / "no.yaml")}
     (tmp_path / "empty").mkdir()
-    command = [EXECUTABLES / "splitslam", "diagnose", *(a.format(**names) for a in arguments)]
+    words = [word.format(**names) for word in arguments]
     if arguments[0] == "--edge":
-        command += ["--config", names["missing"]]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
-    assert done.returncode == 2
-    assert done.stderr.startswith(line.format(**names)), done.stderr
-    assert done.stderr.count("\n") == 1
+        words += ["--config", names["missing"]]
+    exit_code, _, err = typed("splitslam", "diagnose", *words, folder=tmp_path)
+    assert exit_code == 2
+    assert err.startswith(line.format(**names)), err
+    assert err.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty"]
 
 

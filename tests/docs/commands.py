@@ -18,12 +18,8 @@ import typer.main
 from typer.core import TyperCommand, TyperGroup
 
 from tests.conftest import ROOT
+from tests.typed import PROGRAMS
 
-PROGRAMS = {
-    "splitslam": "splitslam.cli",
-    "edge-agent": "edge_agent.__main__",
-    "map-service": "map_service.__main__",
-}
 FENCE = re.compile(r"^```[a-z]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`([^`\n]+)`")
 PYTHON = ("python", "python3")

@@ -25,11 +25,6 @@ SCANS = 170
 MOVING_S = 12.0
 
 
-@pytest.fixture
-def yard1(shared_data: Path) -> Path:
-    return shared_data / "yard1" / "yard1.bag"
-
-
 def without_imu(from_s: float, to_s: float) -> Harm:
     def harm(events: Iterator[TimedEvent]) -> Iterator[TimedEvent]:
         start_ns = None

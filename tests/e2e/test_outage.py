@@ -19,11 +19,6 @@ from tests import tolerances as bars
 SCANS, SILENT_S, SECOND_NS = 180, (7.0, 16.0), 1_000_000_000
 
 
-@pytest.fixture(scope="module")
-def yard1(shared_data: Path) -> Path:
-    return shared_data / "yard1" / "yard1.bag"
-
-
 def outage(yard1: Path, odometry: bool = True, disable: tuple[str, ...] = ()) -> Outcome:
     network, settings = Network(silent_s=SILENT_S), OdometrySettings(enabled=odometry)
     robot = yard1.with_suffix(".yaml")

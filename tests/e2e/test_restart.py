@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from tests import tolerances as bars
-from tests.e2e.commands import BIN, Run, run, splitslam
+from tests.e2e.commands import BIN, Run, splitslam
 
 
 def start_service(store: Path, port: int = 0) -> tuple[subprocess.Popen[str], str]:
@@ -43,10 +43,9 @@ def frames_stored(server: str) -> int:
     return max((s.durable_seq for s in sessions), default=0)
 
 
-def test_a_killed_service_costs_no_scan_and_no_accuracy(shared_data, tmp_path):
-    recording = shared_data / "yard1" / "yard1.bag"
+def test_a_killed_service_costs_no_scan_and_no_accuracy(yard1, yard1_as_it_is, tmp_path):
+    recording, undisturbed = yard1, yard1_as_it_is
     truth = recording.with_suffix(".tum")
-    undisturbed = run(tmp_path / "undisturbed", recording)
 
     service, server = start_service(tmp_path / "store.sqlite")
     outcome: list[subprocess.CompletedProcess[str]] = []

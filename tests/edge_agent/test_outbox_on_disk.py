@@ -13,7 +13,8 @@ import pytest
 from edge_agent.outbox import Lost, Outbox
 from edge_agent.spool import Spool
 from splitslam.wire import session_pb2 as pb
-from tests.edge_agent.test_spool import ROOM, failing, frame
+from tests.edge_agent.test_spool import ROOM, frame
+from tests.edge_agent.test_spool_disk import failing
 
 
 @pytest.fixture

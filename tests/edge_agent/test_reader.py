@@ -135,8 +135,8 @@ def test_stop_ends_the_loop_and_the_reader_at_once():
     threading.Timer(0.1, reader.stop).start()
     started_s = time.monotonic()
     assert len(list(queue.batches())) < 100
-    reader.join(1.0)
-    assert time.monotonic() - started_s < 1.0
+    reader.join(10.0)
+    assert time.monotonic() - started_s < 10.0  # of the 100 s that it lasts
 
 
 def test_of_a_live_source_what_has_come_is_handed_on_at_once_and_while_nothing_comes_the_loop_is_woken():
@@ -159,7 +159,7 @@ def test_of_a_live_source_what_has_come_is_handed_on_at_once_and_while_nothing_c
     assert reader.due_s(now_ns + 7) == pytest.approx(now_ns * 1e-9, abs=1e-6)
     started_s = time.monotonic()
     reader.close()
-    assert time.monotonic() - started_s < 0.5
+    assert time.monotonic() - started_s < 5.0  # it would go on for ever
 
 
 def live_scans(kept: int, then: int) -> Iterator[TimedEvent | None]:

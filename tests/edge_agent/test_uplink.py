@@ -10,7 +10,6 @@ from contextlib import contextmanager
 import pytest
 
 from edge_agent.config import UplinkConfig
-from edge_agent.dialogue import Dialogue
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
@@ -18,7 +17,6 @@ from splitslam.errors import InputError
 from splitslam.metrics import Family
 from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
-from splitslam.wire import types_pb2 as types
 from tests.edge_agent.fake_service import FakeService, Fault
 from tests.edge_agent.relay import CountingRelay
 
@@ -241,44 +239,6 @@ def test_the_lower_of_the_configured_and_the_advised_limit_holds(configured: flo
     with FakeService(advice=pb.Advice(**advice)) as service, uplink_to(service.address, settings) as uplink:
         assert len(send_all(uplink, 3)) == 3
         assert uplink.limit_kbps == limit
-
-
-def test_a_wish_for_a_dense_frame_does_not_lift_the_advised_limit():
-    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
-    for advice, limit in ((pb.Advice(max_kbps=120), 120), (pb.Advice(want_dense=True), 120), (pb.Advice(), None)):
-        dialogue.receive(pb.StreamResponse(advice=advice), 0.0)
-        assert dialogue.limit_kbps == limit
-
-
-def test_a_credit_before_the_welcome_is_a_sign_of_life_and_takes_nothing_back():
-    """It says durable_seq 0, as its service has not read the session yet."""
-    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
-    for seq in range(1, 5):
-        dialogue.keep(frame(seq), 0.0)
-    dialogue.begin(0.0)
-    dialogue.receive(pb.StreamResponse(welcome=pb.Welcome(epoch=1)), 0.0)
-    assert asked(dialogue) == ["hello", 1, 2, 3, 4]
-    for seq in (1, 2, 3):
-        answer = pb.Odometry(seq=seq, pose_map_lidar=types.Transform(qw=1), applied_seq=seq, durable_seq=2)
-        dialogue.receive(pb.StreamResponse(odometry=answer), 0.0)
-    stream = dialogue.begin(0.0)
-    dialogue.keep(frame(5), 0.0)
-    assert asked(dialogue) == ["hello"]
-    dialogue.receive(pb.StreamResponse(credit=pb.Credit(window=16)), 1.0)
-    assert (stream.last_message_s, dialogue.outbox.durable_seq, len(dialogue.outbox)) == (1.0, 2, 3)
-    assert asked(dialogue) == [], "nothing is sent before the Welcome"
-    dialogue.receive(pb.StreamResponse(welcome=pb.Welcome(epoch=2, durable_seq=2, applied_seq=3)), 1.0)
-    assert asked(dialogue) == [4, 5]
-    assert dialogue.failure is None
-
-
-def asked(dialogue: Dialogue) -> list[int | str]:
-    """Everything that it has to say now: a frame by its seq, the rest by name."""
-    said: list[int | str] = []
-    while (request := dialogue.next_request(0.0)) is not None:
-        kind = str(request.WhichOneof("message"))
-        said.append(request.frame.seq if kind == "frame" else kind)
-    return said
 
 
 def test_a_backlog_is_sent_within_the_limit():

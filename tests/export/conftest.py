@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,11 @@ import pytest
 
 from map_service.rows import SessionCommit
 from map_service.store import Opening, Store
-from splitslam.cli import main
 from tests.map_pipeline.made_drives import Odometry, Receiver, driven, fixes, rounds
+from tests.typed import Said, typed
 
 SESSION = "rover/1"
-Run = Callable[..., tuple[int, str, str]]
+Run = Callable[..., Said]
 
 
 @pytest.fixture(scope="session")
@@ -34,15 +34,6 @@ def store_url(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    """Exit code, stdout and stderr of `splitslam export ...`, typed in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def typed(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["splitslam", "export", *arguments])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return typed
+def run(tmp_path: Path) -> Run:
+    """`splitslam export ...`, typed in an empty folder."""
+    return partial(typed, "splitslam", "export", folder=tmp_path)

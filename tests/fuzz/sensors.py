@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from edge_agent.sources.live.clock import Lateness, SensorClock
+from edge_agent.sources.live.sensor_clock import SensorClock
 from edge_agent.sources.live.mip import MipFeed
 from edge_agent.sources.live.nmea import NmeaFeed
 from edge_agent.sources.live.velodyne import PositionFeed, VelodyneFeed
@@ -36,7 +36,7 @@ class _CountedError(Exception):
 def mip() -> Target:
     seeds = [b"".join(made.mip_sample(reference_ns=2_000_000 * (3 * n + k)) for k in range(3)) for n in range(4)]
     seeds.append(made.mip_sample(gps=(345_600.0, 2300, 7)) + made.mip_packet({0x01: b"", 0x04: bytes(12)}))
-    return _stream("mip", seeds, lambda: MipFeed(SensorClock("imu", Lateness()), 0, Counts(), Counter()))
+    return _stream("mip", seeds, lambda: MipFeed(SensorClock("imu"), 0, Counts(), Counter()))
 
 
 def nmea() -> Target:
@@ -48,7 +48,7 @@ def nmea() -> Target:
         ).encode()
         for n in range(8)
     ]
-    return _stream("nmea", seeds, lambda: NmeaFeed(SensorClock("gnss", Lateness()), Counter()))
+    return _stream("nmea", seeds, lambda: NmeaFeed(SensorClock("gnss"), Counter()))
 
 
 def _stream(name: str, seeds: list[bytes], open_feed: Callable[[], Any]) -> Target:
@@ -83,7 +83,7 @@ def udp_packets() -> Target:
         position = PositionFeed()
         with suppress(_CountedError):
             _read(position, given[1])
-        lidar = VelodyneFeed(robot, SensorClock("lidar", Lateness()), position, Counts(), Counter())
+        lidar = VelodyneFeed(robot, SensorClock("lidar"), position, Counts(), Counter())
         _read(lidar, given[0])
 
     return Target("udp packets", make, feed, (_CountedError,))

@@ -8,20 +8,24 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from sqlalchemy import insert
 
 from edge_agent.sources.cloud_decoder import CloudDecoder
 from edge_agent.sources.raw import Gate
 from edge_agent.sources.velodyne import PACKET_BYTES, VelodyneDecoder
 from edge_agent.spool import Spool, SpoolFolder
 from edge_agent.spool.record import Head, pack
-from map_service import export, integrity
+from map_service import export, integrity, schema
 from map_service.catalog import Catalog
 from map_service.cloud import decode_cloud
 from map_service.database import StoreError
 from map_service.session_service import session_info
 from map_service.store import Store
+from splitslam import dense_cloud
 from splitslam.errors import DataError, InputError
 from splitslam.robot import Robot
+from tests.codec.mutations import sealed
+from tests.dense.made import cloud
 from tests.fuzz.mutate import Rng, mutated
 from tests.fuzz.target import Target, scratch
 from tests.map_service.entries import OPENING, sound
@@ -78,6 +82,23 @@ def clouds() -> Target:
     return Target("keyframe clouds", lambda rng: mutated(seeds, rng), feed, (DataError,))
 
 
+def dense_clouds() -> Target:
+    """Whole scans as a service stores them, with a checksum that is right half of the time."""
+    seeds = [cloud(points=40), cloud(points=0), cloud(points=300)]
+
+    def make(rng: Rng) -> bytes:
+        data = mutated(seeds, rng)
+        return sealed(data[:-4]) if rng.random() < 0.5 else data
+
+    def feed(data: bytes) -> None:
+        head = dense_cloud.check(data)
+        points, intensity = dense_cloud.decode(data)
+        assert len(points) == len(intensity) == head.points
+        assert np.isfinite(points).all()
+
+    return Target("dense clouds", make, feed, (DataError,))
+
+
 def store_rows() -> Target:
     """One cell of a sound store is not what was written: the check names it, and readers refuse it or go on."""
     folder, remove = scratch()
@@ -85,6 +106,9 @@ def store_rows() -> Target:
     store = Store(f"sqlite:///{path}")
     opened = store.open_session(OPENING)
     store.commit(opened.key, 1, sound())
+    with store.writing() as connection:
+        row = {"session": opened.key, "keyframe": 0, "cloud": cloud(points=40)}
+        connection.execute(insert(schema.dense_clouds).values(row))
     store.close()
     whole = path.read_bytes()
     with sqlite3.connect(path) as db:
@@ -130,7 +154,7 @@ def _read_session(store: Store, catalog: Catalog, row: Any) -> None:
     for reader in (
         lambda: session_info(row),
         lambda: [list(page) for page in catalog.trajectory(row.id)],
-        lambda: list(export.map_pieces(catalog.keyframes(row.id), 0.1)),
+        lambda: list(export.map_pieces(catalog.keyframes(row.id, dense=True), 0.1)),
         lambda: store.load(row.id),
         lambda: store.answers(row.id, last=10),
     ):

@@ -6,14 +6,18 @@ import numpy as np
 from google.protobuf.message import DecodeError as WireError
 
 from map_service.callers import DeniedError, forwarded_caller
+from map_service.dense_receiver import DenseReceiver
 from map_service.hello import RefusedError, read_hello, session_id_of
+from splitslam import dense_cloud
 from splitslam.codec import CODEC_VERSION, DecodeError
 from splitslam.errors import InputError
 from splitslam.motion_table import motion_table
 from splitslam.robot import Robot, robot_from_yaml, robot_to_yaml
+from splitslam.wire import dense_pb2 as dense_pb
 from splitslam.wire import session_pb2 as pb
 from tests.codec.mutations import KINDS, check, decode, payloads, sealed
 from tests.codec.mutations import mutated as payload_mutated
+from tests.dense.made import cloud
 from tests.fuzz.mutate import Rng, mutated
 from tests.fuzz.target import Target
 from tests.map_service.harness import frame, hello, new_run
@@ -71,6 +75,43 @@ def messages() -> Target:
             read_hello(request.hello, CODEC_VERSION)
 
     return Target("messages", lambda rng: mutated(seeds, rng), feed, (WireError, RefusedError))
+
+
+class _Clouds:
+    """Wants everything, and keeps nothing."""
+
+    def wants(self, session_id: str, offer: dense_pb.CloudOffer) -> dense_pb.UploadResponse:
+        return dense_pb.UploadResponse(verdict=dense_pb.CLOUD_VERDICT_WANTED)
+
+    def put(self, session_id: str, offer: dense_pb.CloudOffer, cloud: bytes) -> dense_pb.CloudVerdict:
+        head = dense_cloud.check(cloud)
+        assert (head.seq, head.stamp_ns, len(cloud)) == (offer.seq, offer.stamp_ns, offer.size)
+        return dense_pb.CLOUD_VERDICT_STORED
+
+
+def uploads() -> Target:
+    """UploadRequests one after the other on the stream of one robot."""
+    whole = cloud(points=40)
+    stamp_ns = dense_cloud.check(whole).stamp_ns
+    half = len(whole) // 2
+    requests = [
+        dense_pb.UploadRequest(open=dense_pb.UploadOpen(robot_id="r", run_id=new_run())),
+        *[dense_pb.UploadRequest(offer=dense_pb.CloudOffer(seq=1, stamp_ns=stamp_ns, size=len(whole)))] * 2,
+        dense_pb.UploadRequest(chunk=dense_pb.CloudChunk(offset=0, data=whole[:half])),
+        dense_pb.UploadRequest(chunk=dense_pb.CloudChunk(offset=half, data=whole[half:])),
+        dense_pb.UploadRequest(chunk=dense_pb.CloudChunk(offset=0, data=whole)),
+    ]
+    seeds, receiver = [request.SerializeToString() for request in requests], DenseReceiver(_Clouds(), "r/1")
+
+    def make(rng: Rng) -> bytes:
+        return seeds[rng.integers(len(seeds))] if rng.random() < 0.7 else mutated(seeds, rng)
+
+    def feed(data: bytes) -> None:
+        answer = receiver.take(dense_pb.UploadRequest.FromString(data))
+        assert answer.verdict != dense_pb.CLOUD_VERDICT_UNSPECIFIED
+        assert len(answer.detail) < 200
+
+    return Target("uploads", make, feed, (WireError,))
 
 
 def robot_files() -> Target:

@@ -19,7 +19,8 @@ import pytest
 import yaml
 
 from edge_agent.metrics import EdgeMetrics
-from edge_agent.sources.live.clock import RunClock, TimeBase
+from edge_agent.sources.live.clock import RunClock
+from edge_agent.sources.live.sensor_clock import TimeBase
 from splitslam.diagnose.agent import sensor_clocks
 from splitslam.diagnose.checks import Verdict
 from splitslam.pcap import datagrams

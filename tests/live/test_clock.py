@@ -8,7 +8,9 @@ from itertools import pairwise
 
 import pytest
 
-from edge_agent.sources.live.clock import Lateness, RunClock, SensorClock, TimeBase
+from edge_agent.sources.live.clock import RunClock
+from edge_agent.sources.live.lateness import Lateness
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from tests import tolerances as bars
 
 SECOND_NS = 1_000_000_000

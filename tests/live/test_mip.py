@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_agent.sources.live.clock import Lateness, SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.mip import MipFeed
 from edge_agent.sources.source import Counts
 from splitslam.scan import ImuSamples
@@ -21,7 +21,7 @@ PACKETS, SAMPLES = 8384, 4473  # of the recorded stream, counted by its makers
 
 
 def made_feed() -> MipFeed:
-    return MipFeed(SensorClock("imu", Lateness()), 0, Counts(), Counter())
+    return MipFeed(SensorClock("imu"), 0, Counts(), Counter())
 
 
 def fed(feed: MipFeed, chunks: list[bytes]) -> ImuSamples:
@@ -108,7 +108,7 @@ def test_a_stream_of_noise_ends_nothing_and_is_counted():
 
 def test_values_that_are_no_numbers_are_dropped_and_counted():
     dropped: Counter[str] = Counter()
-    feed = MipFeed(SensorClock("imu", Lateness()), 0, Counts(), dropped)
+    feed = MipFeed(SensorClock("imu"), 0, Counts(), dropped)
     assert not list(feed.take(mip_sample((float("nan"), 0.0, 1.0), reference_ns=1), 0))
     assert dropped == {"imu_nan": 1}
 

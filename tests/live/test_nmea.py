@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from edge_agent.sources.live.clock import Lateness, SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.nmea import NmeaFeed, valid_rmc_ns
 from splitslam.scan import GnssFix
 from tests.live.made import gga, gst, nmea, rmc
@@ -19,7 +19,7 @@ NOON_NS = int(datetime(2024, 3, 15, 12, 0, 0, tzinfo=UTC).timestamp()) * 10**9
 
 def made_feed() -> tuple[NmeaFeed, Counter[str]]:
     dropped: Counter[str] = Counter()
-    return NmeaFeed(SensorClock("gnss", Lateness()), dropped), dropped
+    return NmeaFeed(SensorClock("gnss"), dropped), dropped
 
 
 def fixes(feed: NmeaFeed, *texts: str, arrival_ns: int = NOON_NS) -> list[GnssFix]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import subprocess
 import time
 from collections import Counter
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 from splitslam.errors import InputError
 from splitslam.pcap import Datagram, datagrams
 from splitslam.replay import Faults, send, with_faults
-from tests.e2e.commands import splitslam
+from tests.typed import typed
 
 PACKETS = [Datagram(k * 10_000_000, 2368, struct.pack("<I", k)) for k in range(200)]
 
@@ -91,14 +90,14 @@ def test_the_command_says_what_it_has_sent_and_what_it_does_not_understand(share
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
         sensor.bind(("127.0.0.1", 0))
         port = sensor.getsockname()[1]
-        done = splitslam("replay", capture, "--port", f"2368={port}", "--port", f"8308={port}", "--speed", "0")
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.splitlines() == [f"293 packets to 127.0.0.1:{port}", f"57 packets to 127.0.0.1:{port}"]
-    assert one_line(splitslam("replay", capture, "--to", "robot.local")).startswith("--to: expected an IP address")
-    assert one_line(splitslam("replay", capture, "--port", "2368")).startswith("--port: expected FROM=TO")
-
-
-def one_line(done: subprocess.CompletedProcess[str]) -> str:
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    return line
+        done = typed("splitslam", "replay", capture, "--port", f"2368={port}", "--port", f"8308={port}", "--speed", "0")
+        assert done.exit_code == 0, done.err
+        assert done.out.splitlines() == [f"293 packets to 127.0.0.1:{port}", f"57 packets to 127.0.0.1:{port}"]
+    for words, said in (
+        (("--to", "robot.local"), "--to: expected an IP address"),
+        (("--port", "2368"), "--port: expected FROM=TO"),
+    ):
+        exit_code, _, err = typed("splitslam", "replay", capture, *words)
+        (line,) = err.splitlines()
+        assert exit_code == 2
+        assert line.startswith(said)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edge_agent.sources import Counts
-from edge_agent.sources.live.clock import Lateness, SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.velodyne import PositionFeed, VelodyneFeed
 from splitslam.scan import Scan
 from tests.live import wire
@@ -27,7 +27,7 @@ class Fed:
     """A feed, and the scans that came out of it."""
 
     def __init__(self) -> None:
-        self.clock, self.position = SensorClock("lidar", Lateness()), PositionFeed()
+        self.clock, self.position = SensorClock("lidar"), PositionFeed()
         self.feed = VelodyneFeed(wire.velodyne_robot("vlp16"), self.clock, self.position, Counts(), Counter())
         self.scans: list[Scan] = []
 

@@ -7,30 +7,30 @@ import signal
 import socket
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from map_service.config import ServiceConfig
 from splitslam import config
+from tests.typed import typed
 
 COMMAND = [sys.executable, "-m", "map_service"]
 
 
-def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    import os
-
-    return subprocess.run(
-        [*COMMAND, *arguments], capture_output=True, text=True, timeout=60, env={**os.environ, **environment}
-    )
+serve = partial(typed, "map-service", "serve")
 
 
-def test_options_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -> None:
+def test_options_win_over_the_environment_and_that_over_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "service.yaml"
     file.write_text("listen: 127.0.0.1:1\nworkers: 2\nstore: sqlite:////tmp/file.db\n")
-    shown = run("serve", "--config", str(file), "--listen", "127.0.0.1:3", "--print-config", SPLITSLAM_MAP__WORKERS="4")
-    assert shown.returncode == 0, shown.stderr
-    (tmp_path / "effective.yaml").write_text(shown.stdout)
+    monkeypatch.setenv("SPLITSLAM_MAP__WORKERS", "4")
+    shown = serve("--config", file, "--listen", "127.0.0.1:3", "--print-config")
+    assert shown.exit_code == 0, shown.err
+    (tmp_path / "effective.yaml").write_text(shown.out)
     effective = config.load(ServiceConfig, tmp_path / "effective.yaml")
     assert (effective.listen, effective.workers, effective.store) == ("127.0.0.1:3", 4, "sqlite:////tmp/file.db")
 
@@ -46,19 +46,19 @@ def test_options_win_over_the_environment_and_that_over_the_file(tmp_path: Path)
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path, arguments: list[str], said: str) -> None:
-    failed = run("serve", "--store", f"sqlite:///{tmp_path}/map.db", "--metrics-port", "0", *arguments)
-    assert failed.returncode == 2
-    assert said in failed.stderr
-    assert len(failed.stderr.strip().splitlines()) == 1
+    failed = serve("--store", f"sqlite:///{tmp_path}/map.db", "--metrics-port", "0", *arguments)
+    assert failed.exit_code == 2
+    assert said in failed.err
+    assert len(failed.err.strip().splitlines()) == 1
 
 
 def test_an_unknown_key_is_named_with_the_nearest_known_one(tmp_path: Path) -> None:
     file = tmp_path / "service.yaml"
     file.write_text("comit: {every_s: 2}\n")
-    failed = run("serve", "--config", str(file))
-    assert failed.returncode == 2
-    assert "comit" in failed.stderr
-    assert "commit" in failed.stderr
+    failed = serve("--config", file)
+    assert failed.exit_code == 2
+    assert "comit" in failed.err
+    assert "commit" in failed.err
 
 
 @pytest.mark.parametrize("option", ["--listen", "--metrics-port"])
@@ -69,7 +69,9 @@ def test_a_port_that_is_taken_is_said_so(tmp_path: Path, option: str) -> None:
         port = taken.getsockname()[1]
         value = f"127.0.0.1:{port}" if option == "--listen" else str(port)
         options = {"--listen": "127.0.0.1:0", "--metrics-port": "0", option: value}
-        failed = run("serve", "--store", f"sqlite:///{tmp_path}/map.db", *(x for pair in options.items() for x in pair))
+        command = [*COMMAND, "serve", "--store", f"sqlite:///{tmp_path}/map.db"]
+        command += [word for option in options.items() for word in option]
+        failed = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert failed.returncode == 2
     assert str(port) in failed.stderr
 

@@ -135,7 +135,7 @@ def test_a_service_works_on_a_store_of_the_next_version(url: str) -> None:
     ("found", "said"),
     [
         (str(VERSION + 2), f"schema version {VERSION + 2}: this service works with 1 to {VERSION + 1}"),
-        ("0", "schema version 0: there is a way to 3 only from 1 to 3; take an older program"),
+        ("0", "schema version 0: there is a way to 4 only from 1 to 4; take an older program"),
         ("soup", "'soup': expected a number; the database is not a store"),
     ],
 )

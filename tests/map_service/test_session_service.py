@@ -12,10 +12,16 @@ import pytest
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 
 from splitslam.wire import session_pb2 as pb
-from tests.map_service.fakes import FINAL_SHIFT_M, POINTS_LIDAR
+from tests.map_service.fakes import FINAL_SHIFT_M, POINTS_LIDAR, payload
 from tests.map_service.harness import Operator, Robot7, Service, frame, hello, new_run
 
 Connect = Callable[..., Robot7]
+
+
+@pytest.fixture
+def service(shared_service: Service) -> Service:
+    """One for all runs, each of which is new to it; a test that looks at all there is starts its own."""
+    return shared_service
 
 
 def drive(robot: Robot7, frames: int) -> None:
@@ -26,12 +32,13 @@ def drive(robot: Robot7, frames: int) -> None:
 
 
 def test_sessions_are_listed_in_the_order_they_were_opened_and_by_site(service: Service, operator: Operator) -> None:
+    known = len(operator.stub.List(pb.ListRequest()).sessions)
     runs = [(new_run(), site) for site in ("north", "south", "north")]
     for run_id, site in runs:
         robot = Robot7(service.address, hello(run_id, site_id=site))
         robot.next("welcome")
         robot.close()
-    everything = operator.stub.List(pb.ListRequest()).sessions
+    everything = operator.stub.List(pb.ListRequest()).sessions[known:]
     assert [s.run_id for s in everything] == [run_id for run_id, _ in runs]
     assert all(not s.finished and s.frames == 0 and s.epoch == 1 for s in everything)
     north = operator.stub.List(pb.ListRequest(site_id="north")).sessions
@@ -71,7 +78,7 @@ def test_a_deleted_session_is_gone_and_the_answer_says_what_was_removed(
     removed = operator.stub.Delete(pb.DeleteRequest(session_id=session_id))
     assert (removed.frames, removed.keyframes, removed.bytes) == (7, 2, stored.store_bytes)
     assert removed.bytes > 0
-    assert not operator.stub.List(pb.ListRequest()).sessions
+    assert session_id not in {session.session_id for session in operator.stub.List(pb.ListRequest()).sessions}
     with pytest.raises(grpc.RpcError, match="NOT_FOUND"):
         operator.get(session_id)
     assert connect(service).next("welcome").epoch == 1
@@ -130,9 +137,10 @@ def test_reflection_names_the_services(shared_service: Service) -> None:
     channel.close()
 
 
-def test_metrics_count_frames_by_result_and_time_every_answer(service: Service, connect: Connect) -> None:
-    from tests.map_service.fakes import payload
-
+def test_metrics_count_frames_by_result_and_time_every_answer(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
+    service = start_service()
     robot = connect(service)
     for seq, content in ((1, None), (2, None), (2, None), (3, payload("corrupt")), (4, None)):
         robot.ask(frame(seq, content))
@@ -155,8 +163,8 @@ def test_metrics_count_frames_by_result_and_time_every_answer(service: Service, 
 def test_the_frame_and_its_trace_id_are_in_the_log(service: Service, connect: Connect, run_id: str) -> None:
     """The one that came with it, or the one that both sides make of run and seq."""
     robot = connect(service)
-    robot.ask(frame(1))
+    robot.ask(frame(1, trace_id=f"{run_id[:8]}ffffffff"))
     robot.ask(frame(2, trace_id=""))
     robot.ask(frame(3))
-    assert f'"trace_id": "{1:016x}"' in service.log
+    assert f'"trace_id": "{run_id[:8]}ffffffff"' in service.log
     assert f'"trace_id": "{run_id[:8]}{2:08x}"' in service.log

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,29 +10,25 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
-from map_service import __main__ as command
 from map_service.migrations import VERSION
 from map_service.store import Store
 from splitslam.ply import read_points
 from splitslam.tum import read_tum
 from tests.map_service.entries import OPENING, sound
 from tests.map_service.fakes import POINTS_LIDAR
+from tests.typed import Said, typed
 
-Run = Callable[..., tuple[int, str, str]]
+Run = Callable[..., Said]
 
 
 @pytest.fixture
-def run(url: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Exit code, stdout, stderr of a command on the store."""
+def run(url: str, tmp_path: Path) -> Run:
+    """A command on the store."""
 
-    def typed(*arguments: str, store: str = url) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["map-service", *arguments, "--store", store])
-        with pytest.raises(SystemExit) as end:
-            command.main()
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
+    def on_the_store(*words: str, store: str = url) -> Said:
+        return typed("map-service", *words, "--store", store, folder=tmp_path)
 
-    return typed
+    return on_the_store
 
 
 @pytest.fixture
@@ -118,7 +113,7 @@ def test_a_store_is_migrated_both_ways(run: Run, url: str) -> None:
     Store(url).close()
     assert run("store", "migrate")[1] == f"schema version {VERSION} already\n"
     code, _, err = run("store", "migrate", "--to", "99")
-    assert (code, err) == (2, "store: no way to schema version 99: this program knows 1 to 3\n")
+    assert (code, err) == (2, "store: no way to schema version 99: this program knows 1 to 4\n")
 
 
 def test_space_of_a_deleted_session_goes_back_to_the_file_system(run: Run, tmp_path: Path) -> None:

@@ -20,6 +20,12 @@ from tests.map_service.harness import Operator, Robot7, Service, frame, hello, n
 Connect = Callable[..., Robot7]
 
 
+@pytest.fixture
+def service(shared_service: Service) -> Service:
+    """One for all runs, each of which is new to it; a test that counts what has happened starts its own."""
+    return shared_service
+
+
 def test_frames_are_answered_in_order_and_the_run_ends_with_its_totals(
     service: Service, connect: Connect, operator: Operator, session_id: str
 ) -> None:
@@ -76,7 +82,10 @@ def test_a_gap_ends_the_stream_with_the_expected_seq_and_the_session_goes_on(
     assert resumed.ask(frame(2)).pose_map_lidar.tx_m == 2.0
 
 
-def test_a_hole_that_the_robot_declares_is_accepted_and_noted(service: Service, connect: Connect) -> None:
+def test_a_hole_that_the_robot_declares_is_accepted_and_noted(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
+    service = start_service()
     robot = connect(service)
     robot.ask(frame(1))
     after = frame(4)
@@ -119,11 +128,11 @@ def test_a_bad_frame_is_answered_as_rejected_and_the_session_goes_on(
 def test_a_frame_that_the_pipeline_fails_on_ends_the_stream_once_and_is_rejected_then(
     service: Service, connect: Connect
 ) -> None:
-    robot = connect(service)
+    robot, before = connect(service), len(service.log)
     robot.ask(frame(1))
     robot.send(frame(2, payload("raise")))
     assert robot.end() == grpc.StatusCode.INTERNAL
-    assert "RuntimeError: told to" in service.log
+    assert "RuntimeError: told to" in service.log[before:]
     resumed = connect(service)
     start = resumed.next("welcome").applied_seq + 1
     for seq in range(start, 2):
@@ -244,18 +253,20 @@ def test_a_stream_that_does_not_begin_with_hello_is_refused(shared_service: Serv
 
 
 def test_fixes_that_cannot_be_used_are_counted_not_passed_on(service: Service, connect: Connect) -> None:
-    robot = connect(service)
+    unusable = 'splitslam_map_gnss_total{result="unusable"}'
+    robot, before = connect(service), service.metrics()[unusable]
     fixes = [types.GnssFix(latitude_deg=float("nan")), types.GnssFix(covariance_enu_m2=[1.0])]
     assert robot.ask(frame(1, fixes=fixes)).rejected == ""
     for _ in range(3):
         robot.next("credit")
-    assert service.metrics()['splitslam_map_gnss_total{result="unusable"}'] == 2
+    assert service.metrics()[unusable] == before + 2
 
 
 def test_a_session_of_a_later_release_is_sent_to_another_replica_and_not_touched(
-    service: Service, start_service: Callable[..., Service], connect: Connect, tmp_path: Path, session_id: str
+    start_service: Callable[..., Service], connect: Connect, tmp_path: Path, session_id: str
 ) -> None:
     """In the middle of an upgrade, or of one that is taken back."""
+    service = start_service()
     robot = connect(service)
     robot.ask(frame(1))
     robot.wait_durable(1)
@@ -271,8 +282,11 @@ def test_a_session_of_a_later_release_is_sent_to_another_replica_and_not_touched
         assert store.execute("SELECT tracker, last_seq FROM sessions").fetchall() == [(later, 1)]
 
 
-def test_a_stream_that_breaks_is_counted_by_its_end_and_leaves_no_traceback(service: Service, connect: Connect) -> None:
+def test_a_stream_that_breaks_is_counted_by_its_end_and_leaves_no_traceback(
+    start_service: Callable[..., Service], connect: Connect
+) -> None:
     """By the robot; by us, for a gap; by a worker that dies. A Bye ends it well."""
+    service = start_service()
     gone, gap, crash, well = (connect(service, run_id=new_run()) for _ in range(4))
     for robot in (gone, gap, crash, well):
         robot.ask(frame(1))

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
-import shutil
 import signal
-import subprocess
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -15,48 +11,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-import pytest
 import yaml
 
 from splitslam.stack.process import StackProcess, free_port, wait_until
-from tests.conftest import ROOT
+from tests import debian
 
-CACHE = ROOT / "build" / "prometheus"
-_FETCH_S, _START_S, _STOP_S, _ASK_S = 240, 20.0, 5.0, 10.0
+_START_S, _STOP_S, _ASK_S = 20.0, 5.0, 10.0
 
 
 def binary(name: str) -> Path:
     """`prometheus` or `promtool`. Without it a test is skipped on a laptop and fails in CI."""
-    if found := shutil.which(name):
-        return Path(found)
-    CACHE.mkdir(parents=True, exist_ok=True)
-    with (CACHE / "lock").open("w") as lock:  # several test processes want it at once
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (path := CACHE / "usr" / "bin" / name).exists() and (problem := _fetch()):
-            reason = f"no {name} here, and Debian's package `prometheus` cannot be fetched: {problem}"
-            pytest.fail(reason) if os.environ.get("CI", "").lower() in ("true", "1") else pytest.skip(reason)
-    return path
-
-
-def _fetch() -> str | None:
-    """The package into CACHE; why not, or None."""
-    if not (shutil.which("apt-get") and shutil.which("dpkg")):
-        return "apt-get and dpkg are needed (or put it on the PATH)"
-    options: list[str] = []
-    said = _run("apt-get", *options, "download", "prometheus")
-    if said is not None:  # no package lists, or old ones: ours are as good, and need no root
-        for folder in ("lists/partial", "cache/archives/partial"):
-            (CACHE / folder).mkdir(parents=True, exist_ok=True)
-        options = [f"-oDir::State::Lists={CACHE}/lists", f"-oDir::Cache={CACHE}/cache", "-oAPT::Sandbox::User="]
-        said = _run("apt-get", *options, "update") or _run("apt-get", *options, "download", "prometheus")
-    packages = sorted(CACHE.glob("prometheus_*.deb"))
-    return said or _run("dpkg", "-x", str(packages[-1]), str(CACHE))
-
-
-def _run(*command: str) -> str | None:
-    done = subprocess.run(command, cwd=CACHE, capture_output=True, text=True, timeout=_FETCH_S)
-    lines = [line for line in done.stderr.splitlines() if line.startswith("E:")] or [done.stderr.strip()]
-    return lines[-1] or f"{command[0]} failed" if done.returncode else None
+    return debian.binary(name, "prometheus")
 
 
 class Prometheus(StackProcess):

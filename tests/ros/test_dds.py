@@ -103,6 +103,28 @@ def test_a_writer_that_knows_nothing_of_us_is_heard_best_effort_or_reliable(join
         assert (record.header.stamp.sec, record.header.frame_id, record.linear_acceleration.z) == (7, "imu", 9.8)
 
 
+def test_a_best_effort_writer_that_comes_after_a_reliable_one_is_heard_as_well_and_each_message_once(join):
+    agent, robot = join(), join()
+    sure = robot.advertise("/imu/data", made.IMU, Delivery(keep=2000))
+    heard: list[bytes] = []
+    agent.subscribe("/imu/data", made.IMU, SAMPLES, heard.append)
+    eventually(lambda: sure(imu(0)) or heard)
+    participant = DomainParticipant(DOMAIN)
+    topic = Topic(participant, "rt/imu/data", raw_type(made.IMU, CODEC.types))
+    best = Qos(Policy.Reliability.BestEffort, Policy.DataRepresentation(use_cdrv0_representation=True))
+    writer = DataWriter(participant, topic, best)
+    eventually(lambda: writer.write(topic.data_type(imu(-1))) or imu(-1) in heard)
+    for k in range(1, 200):
+        sure(imu(k))
+        writer.write(topic.data_type(imu(-1 - k)))
+        time.sleep(0.001)
+    eventually(lambda: {imu(199), imu(-200)} <= set(heard))
+    numbers = [CODEC.decode(raw, made.IMU).angular_velocity.z for raw in heard]
+    assert [number for number in numbers if number > 0] == [float(k) for k in range(1, 200)]
+    best = [number for number in numbers if number < -1]
+    assert len(set(best)) == len(best) > 150
+
+
 def test_what_is_offered_reliably_is_taken_reliably_and_arrives_whole_and_in_order(join):
     robot, agent = join(), join()
     send = robot.advertise("/imu/data", made.IMU, Delivery(keep=2000))

@@ -1,4 +1,4 @@
-"""Sensors in a graph: which topics they are, where they sit, and that nothing of them is lost or made up."""
+"""What sensors in a graph say becomes events, of which nothing is lost or made up."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from edge_agent.ros import messages
 from edge_agent.ros.settings import Ros2Settings, RosSettings
 from edge_agent.ros.source import RosSource
 from edge_agent.sources import open_recording
-from edge_agent.sources.source import Event, StoppedError
+from edge_agent.sources.source import Event
 from splitslam import se3
-from splitslam.errors import InputError
-from splitslam.robot import load_robot, robot_from_yaml
+from splitslam.robot import robot_from_yaml
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 from tests.ros.fake_graph import FakeGraph
 from tests.sources import made_bags as made
-from tests.sources.robots import RIGID, robot
+from tests.sources.robots import RIGID
 
 CLOUDS, SAMPLES, FIXES, WHEELS = "/points_raw", "/imu_raw", "/gps/fix", "/wheel/odom"
 TYPES = {CLOUDS: made.CLOUD, SAMPLES: made.IMU, FIXES: made.FIX, WHEELS: made.ODOMETRY}
@@ -33,6 +32,8 @@ EDGES = [
     ("base_link", "imu_link", se3.compose(se3.so3_exp(np.array([0.0, 0.0, np.pi])), np.array([-0.1, 0.0, 0.1]))),
     ("velodyne", "antenna", se3.compose(np.eye(3), np.array([0.0, 0.3, 0.2]))),
 ]
+
+pytestmark = pytest.mark.usefixtures("impatient")
 
 
 class Robot(FakeGraph):
@@ -61,12 +62,6 @@ class Robot(FakeGraph):
         record = made.build(self.codec.types, msgtype, fields, self.codec.encoding == "ros1")
         record.header.frame_id = FRAMES.get(topic, "odom")
         self.say(at or topic, record)
-
-
-@pytest.fixture(autouse=True)
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("edge_agent.ros.sensors._SETTLE_S", 0.1)
-    monkeypatch.setattr("edge_agent.ros.source._STATIC_S", 0.2)
 
 
 def cloud(stamp_ns: int) -> made.Message:
@@ -166,123 +161,6 @@ def test_the_tap_sees_every_message_as_it_came_with_its_definition():
     assert live.graph.codec.decode(seen[0][1], seen[0][0].msgtype) is not None
 
 
-# --- which topics ---------------------------------------------------------------------------------------------------
-
-
-def test_in_a_namespace_the_usual_names_are_looked_for_there():
-    graph = Robot(topics=())
-    graph.there = {
-        "/points_raw": made.CLOUD,
-        "/r2/points_raw": made.CLOUD,
-        "/r2/imu_raw": made.IMU,
-        "/imu/data": made.IMU,
-    }
-    graph.on_subscribe = lambda at: graph.publish(f"/{at.rsplit('/', 1)[1]}", 0, at) if at.startswith("/r2") else None
-    assert source(graph, namespace="r2").topics == {"lidar": "/r2/points_raw", "imu": "/r2/imu_raw"}
-
-
-def test_a_relative_name_in_the_robot_file_is_in_the_namespace_and_one_with_a_slash_is_not():
-    graph = Robot(topics=())
-    graph.there = {"/r2/cloud": made.CLOUD, "/shared_imu": made.IMU}
-    graph.on_subscribe = lambda at: (
-        graph.publish({"/r2/cloud": CLOUDS, "/shared_imu": SAMPLES}[at], 0, at) if at in graph.there else None
-    )
-    named = robot_from_yaml(f"lidar: {{rings: 3, topic: cloud}}\nimu: {{topic: /shared_imu}}\n{RIGID}")
-    assert source(graph, named, namespace="r2").topics == {"lidar": "/r2/cloud", "imu": "/shared_imu"}
-
-
-def test_a_lidar_that_turns_up_late_is_waited_for():
-    graph = Robot()
-    there, graph.there = graph.there, {}
-    threading.Timer(0.3, lambda: graph.there.update(there)).start()
-    assert source(graph, wait_s=10.0).topics["lidar"] == CLOUDS
-
-
-def test_without_a_lidar_the_error_says_what_there_is():
-    with pytest.raises(InputError, match=r"^a graph: no scans: expected .*there are: /imu_raw \(sensor_msgs/Imu\)$"):
-        source(Robot(topics=(SAMPLES,)))
-
-
-def test_a_named_lidar_that_does_not_come_is_named_in_the_error():
-    with pytest.raises(InputError, match=r"^a graph: lidar.topic: no topic /cloud; there are: "):
-        source(Robot(), robot("rings: 3, topic: /cloud"))
-
-
-def test_a_topic_of_another_type_is_an_error_at_once():
-    began_s = time.monotonic()
-    with pytest.raises(InputError, match=r"lidar.topic: /imu_raw is sensor_msgs/Imu, expected sensor_msgs/PointCloud2"):
-        source(Robot(), robot("rings: 3, topic: /imu_raw"), wait_s=60.0)
-    assert time.monotonic() - began_s < 30.0
-
-
-def test_a_named_sensor_that_nobody_publishes_yet_is_listened_to_all_the_same():
-    graph = Robot()
-    named = robot_from_yaml(f"lidar: {{rings: 3}}\ngnss: {{topic: /late, t_lidar_antenna_m: [0, 0, 0]}}\n{RIGID}")
-    live = source(graph, named)
-    graph.publish(FIXES, 1, "/late")
-    assert any(isinstance(event, GnssFix) for event in events(live))
-    assert "gnss: nobody publishes /late yet" in live.notes
-
-
-def test_topics_without_a_scan_end_with_an_error_that_names_the_topic():
-    graph = Robot()
-    graph.on_subscribe = lambda at: None
-    with pytest.raises(InputError, match=r"^a graph: /points_raw: no scan has come"):
-        source(graph)
-
-
-def test_the_wait_for_sensors_ends_when_the_agent_is_stopped():
-    stop = threading.Event()
-    threading.Timer(0.2, stop.set).start()
-    with pytest.raises(StoppedError):
-        RosSource(Robot(topics=()), Ros2Settings(), RosSettings(), PLACED, stop)
-
-
-# --- where the sensors are ------------------------------------------------------------------------------------------
-
-
-def test_places_that_the_robot_file_leaves_open_come_from_tf_static():
-    graph = Robot(topics=(CLOUDS, SAMPLES, FIXES))
-    graph.static = EDGES
-    live = source(graph, robot_from_yaml("lidar: {rings: 3}"))
-    T_base_lidar, T_base_imu, T_lidar_antenna = (T for _, _, T in EDGES)
-    np.testing.assert_allclose(live.robot.T_body_lidar, T_base_lidar, atol=1e-9)
-    np.testing.assert_allclose(live.robot.T_lidar_imu, se3.inv(T_base_lidar) @ T_base_imu, atol=1e-9)
-    assert live.robot.gnss is not None
-    assert live.robot.gnss.t_lidar_antenna_m == pytest.approx(tuple(T_lidar_antenna[:3, 3]))
-    assert live.robot.imu_placed
-    assert "T_lidar_imu: velodyne <- imu_link, by /tf_static" in live.notes
-
-
-def test_what_the_robot_file_says_counts_more_than_tf_static():
-    graph = Robot()
-    graph.static = EDGES
-    live = source(graph)
-    np.testing.assert_array_equal(live.robot.T_lidar_imu, np.eye(4))
-    np.testing.assert_array_equal(live.robot.T_body_lidar, np.eye(4))
-
-
-def test_an_imu_that_nobody_places_is_an_error():
-    with pytest.raises(
-        InputError, match=r"T_lidar_imu: must be given.*does not connect the frames velodyne and imu_link"
-    ):
-        source(Robot(), robot_from_yaml("lidar: {rings: 3}"))
-
-
-def test_a_robot_file_that_names_its_imu_may_leave_its_place_to_the_graph(tmp_path):
-    path = tmp_path / "robot.yaml"
-    path.write_text("lidar: {rings: 3}\nimu: {topic: /imu_raw, rate_hz: 200}\n")
-    with pytest.raises(InputError, match="T_lidar_imu: must be given"):
-        load_robot(path)
-    graph = Robot()
-    graph.static = EDGES
-    live = source(graph, load_robot(path, placed_elsewhere=True))
-    assert live.robot.imu is not None
-    assert live.robot.imu.rate_hz == 200
-    assert live.topics["imu"] == SAMPLES
-    assert live.robot.imu_placed
-
-
 @pytest.mark.parametrize(
     ("values", "says"),
     [
@@ -299,13 +177,6 @@ def test_a_graph_that_cannot_be_is_refused(values: dict[str, Any], says: str):
 def test_frames_must_differ():
     with pytest.raises(ValueError, match="expected three names"):
         RosSettings(odom_frame="map")
-
-
-def test_several_lidars_and_none_usual_must_be_told_apart():
-    graph = Robot()
-    graph.there = {"/front": made.CLOUD, "/rear": made.CLOUD}
-    with pytest.raises(InputError, match=r"^a graph: lidar.topic: must be given, one of: /front, /rear$"):
-        source(graph, wait_s=None)
 
 
 def test_scans_that_never_come_are_counted_by_the_gap_that_they_leave():

@@ -20,11 +20,11 @@ from splitslam.security.settings import ClientTls
 from splitslam.stack import EnvoyProxy, Replica
 from splitslam.stack.process import wait_until
 from splitslam.stack.stack import service_tls
+from splitslam.wire import dense_pb2, dense_pb2_grpc, view_pb2, view_pb2_grpc
 from splitslam.wire import pose_pb2 as pose_pb
 from splitslam.wire import pose_pb2_grpc as pose_rpc
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
-from splitslam.wire import view_pb2, view_pb2_grpc
 from tests.conftest import ROOT
 from tests.map_service.harness import frame, hello, new_run
 from tests.stack.conftest import FAKE
@@ -193,6 +193,18 @@ class Client:
         """(session ids, why not)."""
         answer, why = self._ask("List", pb.ListRequest(site_id=site_id))
         return (set() if answer is None else {s.session_id for s in answer.sessions}), why
+
+    def upload(self, robot_id: str, run_id: str = "", **changes: Any) -> str:
+        """Offers a whole scan of frame 1; why not."""
+        opening = dense_pb2.UploadOpen(robot_id=robot_id, run_id=run_id or new_run(), **changes)
+        offer = dense_pb2.CloudOffer(seq=1, stamp_ns=1, size=1)
+        requests = [dense_pb2.UploadRequest(open=opening), dense_pb2.UploadRequest(offer=offer)]
+        with self._channel() as (channel, metadata):
+            call = dense_pb2_grpc.DenseServiceStub(channel).Upload(iter(requests), metadata=metadata, timeout=CALL_S)
+            try:
+                return "" if len(list(call)) == 2 else "not answered"
+            except grpc.RpcError as error:
+                return f"{error.code().name}: {error.details()}"  # pyright: ignore
 
     def get(self, session_id: str) -> str:
         return self._ask("Get", pb.GetRequest(session_id=session_id))[1]

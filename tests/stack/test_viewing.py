@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import pytest
+
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
 from splitslam.stack import Stack
@@ -14,6 +16,7 @@ from splitslam.view.scene import Scene
 from tests.stack.watch import fullest, wait_level
 from tests.view.logged import Logged
 
+pytestmark = pytest.mark.alone  # on the stack that the others have started
 Drive = Callable[..., list[LightRobot]]
 WAIT_S = 30.0
 

@@ -102,9 +102,15 @@ class Robot:
 
 
 def robot(
-    name: str, program: Sequence[str], recording: Path, server: str, folder: Path, max_scans: int | None = None
+    name: str,
+    program: Sequence[str],
+    recording: Path,
+    server: str,
+    folder: Path,
+    max_scans: int | None = None,
+    **uplink: Any,
 ) -> Robot:
-    """It is called `name` and leaves its files in `folder`."""
+    """It is called `name` and leaves its files in `folder`. uplink: settings of that section besides."""
     file = folder / f"{name}-robot.yaml"
     sensors = yaml.safe_load(recording.with_suffix(".yaml").read_text())
     file.write_text(yaml.safe_dump({**sensors, "robot": {"id": name}}))
@@ -112,7 +118,7 @@ def robot(
         "robot": str(file),
         "server": server,
         "source": {"recording": str(recording), "max_scans": max_scans},
-        "uplink": {"connect_timeout_s": RUN_S, "reconnect_timeout_s": RUN_S},
+        "uplink": {"connect_timeout_s": RUN_S, "reconnect_timeout_s": RUN_S, **uplink},
         "output": {"dir": str(folder / name)},
         "metrics": {"port": None},
         "state_dir": str(folder / f"{name}-state"),

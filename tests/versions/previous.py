@@ -5,18 +5,17 @@ It is `git archive REF` built by `pip wheel --no-deps`, 270 kB; `python -m tests
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
-import zipfile
 from io import BytesIO
 from pathlib import Path
 
 from tests.conftest import ROOT
+from tests.once import made_once
 
 VERSION = "0.1.0"
 REF = "bb715b8"
@@ -31,15 +30,7 @@ _UNPACKED = ROOT / "build" / "previous" / VERSION  # kept: compiling its kernels
 
 def folder() -> Path:
     """Where its packages are, to be put on sys.path."""
-    _UNPACKED.parent.mkdir(parents=True, exist_ok=True)
-    with (_UNPACKED.parent / "lock").open("w") as lock:  # several test processes want it at once
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (_UNPACKED / ".unpacked").exists():
-            shutil.rmtree(_UNPACKED, ignore_errors=True)
-            with zipfile.ZipFile(WHEEL) as wheel:
-                wheel.extractall(_UNPACKED)
-            (_UNPACKED / ".unpacked").touch()
-    return _UNPACKED
+    return made_once(_UNPACKED, lambda folder: shutil.unpack_archive(WHEEL, folder, "zip"))
 
 
 def command(program: str) -> tuple[str, ...]:

@@ -47,6 +47,27 @@ class Logged:
     def paths(self, prefix: str) -> list[str]:
         return sorted(path for path in self.entries if path.startswith(prefix) and self.of(path))
 
+    def map_of(self, robot: str) -> NDArray[np.float64]:
+        """(N, 3), frame `map`: all points of a robot's map, as they lie at last."""
+        lying = [_placed(self.of(path, "Transform3D"), points(self.of(path, "Points3D")[-1])) for path in self._map(robot)]
+        return np.concatenate([np.zeros((0, 3)), *lying])
+
+    def _map(self, robot: str) -> list[str]:
+        return [path for path in self.paths(f"world/{robot}/map/") if self.of(path, "Points3D")]
+
+    def way_of(self, robot: str) -> list[NDArray[np.float64]]:
+        """Pieces (N, 3) of the corrected way, frame `map`, as they lie at last: each once, in order of entities."""
+        pieces = []
+        for path in self.paths(f"world/{robot}/trajectory/"):
+            for strip in (drawn := self.of(path, "LineStrips3D")) and drawn[-1].fields["strips"]:
+                pieces.append(_placed(self.of(path, "Transform3D"), np.array(strip, float).reshape(-1, 3)))
+        return pieces
+
+
+def _placed(transforms: list[Entry], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    T = pose(transforms[-1])
+    return points @ T[:3, :3].T + T[:3, 3]
+
 
 def points(entry: Entry) -> NDArray[np.float64]:
     """(N, 3) of a Points3D."""

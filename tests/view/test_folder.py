@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from splitslam.view.folder import read_folder, show_folder
+from splitslam.view.keyframe_blocks import BLOCK
 from splitslam.view.scene import Scene
 from tests.tolerances import VIEW_M
 from tests.view import made_run
-from tests.view.logged import Logged, points, pose
+from tests.view.logged import Logged, points
 
 
 @pytest.fixture
@@ -22,28 +23,21 @@ def logged(tmp_path: Path) -> Logged:
     return logged
 
 
-def test_the_map_is_the_runs_keyframe_by_keyframe_at_the_times_they_were_taken(logged: Logged) -> None:
-    drawn = []
-    for k in range(made_run.SCANS // made_run.EVERY):
-        (cloud,) = logged.of(f"world/rover-7/map/{k}", "Points3D")
-        assert cloud.stamp_ns == made_run.START_NS + k * made_run.EVERY * made_run.STEP_NS
-        T = pose(logged.of(f"world/rover-7/map/{k}", "Transform3D")[-1])
-        drawn.append(points(cloud) @ T[:3, :3].T + T[:3, 3])
-    np.testing.assert_allclose(np.concatenate(drawn), made_run.walls(), atol=VIEW_M)
+def test_the_map_is_the_runs_block_by_block_at_the_times_they_were_complete(logged: Logged) -> None:
+    np.testing.assert_allclose(logged.map_of("rover-7"), made_run.walls(), atol=VIEW_M)
+    for path in logged.paths("world/rover-7/map/"):
+        (cloud,) = logged.of(path, "Points3D")
+        last = min((int(path.rpartition("/")[2]) + 1) * BLOCK, made_run.SCANS // made_run.EVERY) - 1
+        assert cloud.stamp_ns == made_run.START_NS + last * made_run.EVERY * made_run.STEP_NS
 
 
 def test_the_corrected_way_and_the_one_as_answered_are_both_there(logged: Logged) -> None:
-    ways = []
-    for k in range(made_run.SCANS // made_run.EVERY):
-        T = pose(logged.of(f"world/rover-7/trajectory/{k}", "Transform3D")[-1])
-        for path in logged.paths(f"world/rover-7/trajectory/{k}/"):
-            ways.append(np.array(logged.of(path)[-1].fields["strips"][0]) @ T[:3, :3].T + T[:3, 3])
-    way = np.concatenate(ways)
+    way = np.concatenate(logged.way_of("rover-7"))
     expected = np.array([T[:3, 3] for T in made_run.poses()])
     off_m = np.linalg.norm(way[:, None] - expected[None], axis=2)
     assert off_m.min(axis=1).max() < VIEW_M, "nothing is drawn where the robot was not"
     assert off_m.min(axis=0).max() < VIEW_M, "and nothing of its way is left out"
-    last = np.array(logged.of(logged.paths("world/rover-7/online/")[-1])[-1].fields["strips"][0])[-1]
+    last = np.array(logged.of("world/rover-7/online/newest")[-1].fields["strips"][0])[-1]
     np.testing.assert_allclose(last - expected[-1], [made_run.OFF_M, made_run.OFF_M, 0.0], atol=VIEW_M)
 
 
@@ -61,5 +55,5 @@ def test_a_folder_of_an_older_release_is_shown_without_its_keyframes(tmp_path: P
         (tmp_path / name).unlink()
     logged = Logged()
     show_folder(read_folder(tmp_path), Scene(logged, voxel_m=0.0))  # type: ignore[arg-type]
-    np.testing.assert_allclose(points(logged.of("world/rover-7/map/0", "Points3D")[0]), made_run.walls(), atol=VIEW_M)
+    np.testing.assert_allclose(points(logged.of("world/rover-7/map/newest/0", "Points3D")[0]), made_run.walls(), atol=VIEW_M)
     assert logged.paths("world/rover-7/trajectory/")

@@ -18,7 +18,7 @@ from splitslam.wire import session_pb2 as pb
 from tests.map_service.fakes import FINAL_SHIFT_M, KEYFRAME_EVERY, POINTS_LIDAR, payload
 from tests.map_service.harness import Robot7, Service, frame, hello, new_run
 from tests.tolerances import VIEW_M
-from tests.view.logged import Logged, points, pose
+from tests.view.logged import Logged
 
 Connect = Callable[..., Robot7]
 WAIT_S = 20.0
@@ -37,14 +37,15 @@ class Viewer:
         self.view.run(lambda: not done() and time.monotonic() < deadline_s)
         assert done(), f"not within {WAIT_S:g} s: {what}"
 
-    def keyframes(self, robot: str = "rover-7") -> dict[int, np.ndarray]:
-        """Points of the keyframes in `map`, as they lie now."""
-        shown = {}
-        for path in self.logged.paths(f"world/{robot}/map/"):
-            if clouds := self.logged.of(path, "Points3D"):
-                T = pose(self.logged.of(path, "Transform3D")[-1])
-                shown[int(path.rpartition("/")[2])] = points(clouds[-1]) @ T[:3, :3].T + T[:3, 3]
-        return shown
+    def map(self, robot: str = "rover-7") -> np.ndarray:
+        """Points of the map, (N, 3), as they lie now, by x."""
+        drawn = self.logged.map_of(robot)
+        return drawn[np.argsort(drawn[:, 0], kind="stable")]
+
+
+def along(*at_m: float) -> np.ndarray:
+    """The points of keyframes there, by x."""
+    return np.sort(np.concatenate([POINTS_LIDAR[:, 0] + x_m for x_m in at_m]))
 
 
 @contextmanager
@@ -65,12 +66,11 @@ def test_who_comes_late_sees_what_was_mapped_before(service: Service, connect: C
     with viewer(service) as shown:
         shown.until(shown.view.connected.is_set, "connected")
         robot.ask(frame(before + 1))
-        shown.until(lambda: set(shown.keyframes()) == {0, 1, 2}, "three keyframes")
-        for index, at_m in {0: 1.0, 1: 6.0, 2: 11.0}.items():
-            np.testing.assert_allclose(shown.keyframes()[index][:, 0], POINTS_LIDAR[:, 0] + at_m, atol=0.02)
-        shown.until(lambda: bool(shown.logged.paths("world/rover-7/trajectory/2/")), "the way until now")
-        (cloud,) = shown.logged.of("world/rover-7/map/1", "Points3D")
-        assert cloud.stamp_ns == frame(KEYFRAME_EVERY + 1).stamp_ns, "at the time when it was taken"
+        shown.until(lambda: len(shown.map()) == 3 * len(POINTS_LIDAR), "three keyframes")
+        np.testing.assert_allclose(shown.map()[:, 0], along(1.0, 6.0, 11.0), atol=0.02)
+        shown.until(lambda: len(shown.logged.way_of("rover-7")) >= 3, "the way until now")
+        (cloud,) = shown.logged.of("world/rover-7/map/0", "Points3D")
+        assert cloud.stamp_ns == frame(2 * KEYFRAME_EVERY + 1).stamp_ns, "at the time when the last of it was taken"
 
 
 def test_the_end_of_a_run_corrects_what_is_shown_by_transforms_alone(service: Service, connect: Connect) -> None:
@@ -80,16 +80,13 @@ def test_the_end_of_a_run_corrects_what_is_shown_by_transforms_alone(service: Se
         for seq in range(1, 8):
             robot.ask(frame(seq))
         shown.until(lambda: shown.view.counts.scans == 7, "seven scans")
-        before = shown.keyframes()
-        clouds = len(shown.logged.of("world/rover-7/map/0", "Points3D"))
+        before = shown.map()
         robot.send(pb.Bye(last_seq=7))
         robot.next("finished")
-        moved = lambda: np.abs(shown.keyframes()[0] - before[0]).max() > FINAL_SHIFT_M - 1.0  # noqa: E731
-        shown.until(moved, "the correction")
-        for index, cloud in shown.keyframes().items():
-            expected = before[index] + np.array([FINAL_SHIFT_M, 0.0, 0.0])
-            np.testing.assert_allclose(cloud, expected, atol=VIEW_M)
-        assert len(shown.logged.of("world/rover-7/map/0", "Points3D")) == clouds == 1
+        shown.until(lambda: np.abs(shown.map() - before).max() > FINAL_SHIFT_M - 1.0, "the correction")
+        np.testing.assert_allclose(shown.map(), before + np.array([FINAL_SHIFT_M, 0.0, 0.0]), atol=VIEW_M)
+        for k in range(2):
+            assert len(shown.logged.of(f"world/rover-7/map/newest/{k}", "Points3D")) == 1
         said = [entry.fields["text"][0] for entry in shown.logged.of("events/rover-7")]
         assert f"2 keyframes moved, by {FINAL_SHIFT_M:.2f} m at most" in said
 

@@ -19,6 +19,7 @@ BAD = [
     ({"memory": "lots"}, "--memory: expected a size such as 500MB, 2GiB or 25%, found 'lots'"),
     ({"voxel_m": -1.0}, "--voxel: expected 0 or 0.01 to 100 m, found -1"),
     ({"voxel_m": float("nan")}, "--voxel: expected 0 or 0.01 to 100 m, found nan"),
+    ({"points": 999}, "--points: expected 0 or at least 1000, found 999"),
     ({"seconds": 0.0}, "--seconds: expected more than 0, found 0"),
 ]
 

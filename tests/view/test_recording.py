@@ -32,7 +32,7 @@ def test_a_run_with_view_records_every_scan_and_every_keyframe(shared_data: Path
     assert mapped >= SCANS - 1
     assert rows(recording, "/world/yard1/lidar", "Transform3D:translation") == mapped
     assert rows(recording, "/world/yard1/lidar/matches", "LineStrips3D:strips") == mapped
-    clouds = [rows(recording, f"/world/yard1/map/{k}", "Points3D:positions") for k in range(keyframes + 1)]
+    clouds = [rows(recording, f"/world/yard1/map/newest/{k}", "Points3D:positions") for k in range(keyframes + 1)]
     assert clouds == [1] * keyframes + [0]
     assert rows(recording, "/uplink/yard1/kbps", "Scalars:scalars") == mapped
 

@@ -31,26 +31,21 @@ def scan(k: int, keyframe: int = 0, **changes) -> ScanShown:
     return ScanShown(**(values | changes))
 
 
-def in_map(logged: Logged, tree: str, keyframe: int) -> np.ndarray:
-    """The ends of all strips of a keyframe's way where they are drawn at last."""
-    T = pose(logged.of(f"world/r/{tree}/{keyframe}", "Transform3D")[-1])
-    strips = [logged.of(path)[-1].fields["strips"][0] for path in logged.paths(f"world/r/{tree}/{keyframe}/")]
-    drawn = np.concatenate([np.array(strip) for strip in strips])
-    return drawn @ T[:3, :3].T + T[:3, 3]
+def moved(T: np.ndarray, points_map: np.ndarray) -> np.ndarray:
+    return points_map @ T[:3, :3].T + T[:3, 3]
 
 
 def test_a_correction_moves_a_keyframe_without_logging_a_point_of_it_again() -> None:
     logged = Logged()
     robot = Scene(logged, voxel_m=0.0).robot("r")  # type: ignore[arg-type]
     robot.keyframe(START_NS, 0, at(1.0), CLOUD)
-    robot.move(START_NS + STEP_NS, 0, at(2.0, 0.3))
-    (cloud,) = logged.of("world/r/map/0", "Points3D")
-    before, after = logged.of("world/r/map/0", "Transform3D")
+    robot.move(START_NS + STEP_NS, {0: at(2.0, 0.3)})
+    (cloud,) = logged.of("world/r/map/newest/0", "Points3D")
     np.testing.assert_array_equal(points(cloud), CLOUD)
-    np.testing.assert_allclose(pose(before), at(1.0), atol=VIEW_M)
-    np.testing.assert_allclose(pose(after), at(2.0, 0.3), atol=VIEW_M)
+    assert [pose(entry)[0, 3] for entry in logged.of("world/r/map/newest/0", "Transform3D")] == [1.0, 2.0]
+    np.testing.assert_allclose(logged.map_of("r"), moved(at(2.0, 0.3), CLOUD), atol=VIEW_M)
     robot.keyframe(START_NS, 0, at(2.0, 0.3), CLOUD)
-    assert len(logged.of("world/r/map/0", "Points3D")) == 1
+    assert len(logged.of("world/r/map/newest/0", "Points3D")) == 1
 
 
 def test_the_corrected_way_moves_with_its_keyframe_and_the_one_as_answered_stays() -> None:
@@ -61,12 +56,11 @@ def test_the_corrected_way_moves_with_its_keyframe_and_the_one_as_answered_stays
     for k, T in enumerate(answered):
         robot.scan(scan(k, T_map_lidar=T))
     expected = np.array([T[:3, 3] for T in answered])
-    np.testing.assert_allclose(in_map(logged, "trajectory", 0), expected, atol=VIEW_M)
+    np.testing.assert_allclose(logged.way_of("r")[-1], expected, atol=VIEW_M)
     correction = at(5.0, 0.5) @ se3.inv(at(0.0))
-    robot.move(START_NS + 8 * STEP_NS, 0, correction @ at(0.0))
-    moved = expected @ correction[:3, :3].T + correction[:3, 3]
-    np.testing.assert_allclose(in_map(logged, "trajectory", 0), moved, atol=VIEW_M)
-    online = np.array(logged.of("world/r/online/0")[-1].fields["strips"][0])
+    robot.move(START_NS + 8 * STEP_NS, {0: correction @ at(0.0)})
+    np.testing.assert_allclose(logged.way_of("r")[-1], moved(correction, expected), atol=VIEW_M)
+    online = np.array(logged.of("world/r/online/newest")[-1].fields["strips"][0])
     np.testing.assert_allclose(online, expected, atol=VIEW_M)
 
 
@@ -76,11 +70,12 @@ def test_a_long_way_costs_no_more_a_scan_than_a_short_one_and_has_no_gaps() -> N
     robot.keyframe(START_NS, 0, at(0.0), CLOUD)
     for k in range(3 * LONGEST):
         robot.scan(scan(k))
-    strips = [logged.of(path) for path in logged.paths("world/r/online/")]
-    sizes = [len(entry.fields["strips"][0]) for strip in strips for entry in strip]
+    sizes = [len(entry.fields["strips"][0]) for entry in logged.of("world/r/online/newest")]
     assert max(sizes) <= LONGEST + 1
-    ends = [strip[-1].fields["strips"][0] for strip in strips]
-    assert all(before[-1] == after[0] for before, after in itertools.pairwise(ends))
+    assert len(logged.of("world/r/online/0")) == 2, "once for each piece that is full"
+    whole = [*logged.of("world/r/online/0")[-1].fields["strips"], logged.of("world/r/online/newest")[-1].fields["strips"][0]]
+    assert all(before[-1] == after[0] for before, after in itertools.pairwise(whole))
+    assert [len(piece) for piece in logged.way_of("r")[:2]] == [LONGEST + 1] * 2
 
 
 def test_a_robot_that_stands_draws_nothing() -> None:
@@ -101,7 +96,8 @@ def test_the_ways_of_neighbouring_keyframes_join() -> None:
     robot.keyframe(START_NS, 1, at(1.0, 0.2), CLOUD)
     for k in range(10, 20):
         robot.scan(scan(k, keyframe=1))
-    np.testing.assert_allclose(in_map(logged, "trajectory", 1)[0], in_map(logged, "trajectory", 0)[-1], atol=VIEW_M)
+    before, after = logged.way_of("r")
+    np.testing.assert_allclose(after[0], before[-1], atol=VIEW_M)
 
 
 def test_features_lie_in_the_scans_own_frame_and_correspondences_join_them_with_the_map() -> None:
@@ -138,7 +134,7 @@ def test_loops_and_fixes_are_lines_between_where_their_keyframes_are_now() -> No
     robot = Scene(logged, voxel_m=0.0).robot("r")  # type: ignore[arg-type]
     for index, x_m in enumerate((0.0, 5.0, 9.0)):
         robot.keyframe(START_NS, index, at(x_m), CLOUD)
-    robot.move(START_NS, 2, at(0.2))
+    robot.move(START_NS, {2: at(0.2)})
     robot.loops(START_NS, [(0, 2), (1, 7)])  # 7 has not been told of yet
     np.testing.assert_allclose(logged.of("world/r/loops")[-1].fields["strips"], [[at(0.0)[:3, 3], at(0.2)[:3, 3]]])
     robot.fixes(START_NS, [1, 7], np.array([[5.0, 2.0, 1.0], [7.0, 7.0, 7.0]]))
@@ -180,7 +176,7 @@ def test_two_robots_have_trees_and_colours_of_their_own() -> None:
         robot = scene.robot(name)
         robot.keyframe(START_NS, 0, at(0.0), CLOUD)
         robot.scan(scan(1))
-    ways = logged.paths("world/a\\ b/trajectory/0/") + logged.paths("world/c\\/d/trajectory/0/")
+    ways = ["world/a\\ b/trajectory/newest", "world/c\\/d/trajectory/newest"]
     assert len(ways) == 2
     colours = [logged.of(path)[-1].fields["colors"] for path in ways]
     assert colours[0] != colours[1]
@@ -199,4 +195,4 @@ def test_a_map_is_thinned_to_the_first_point_of_each_voxel() -> None:
             cell = tuple(np.floor(T[:3, :3] @ point.astype(np.float64) + T[:3, 3]).astype(int))
             kept += [] if cell in taken else [point]
             taken.add(cell)
-        np.testing.assert_array_equal(points(logged.of(f"world/r/map/{index}", "Points3D")[0]), kept)
+        np.testing.assert_array_equal(points(logged.of(f"world/r/map/newest/{index}", "Points3D")[0]), kept)

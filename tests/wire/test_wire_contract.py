@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import subprocess
@@ -18,6 +17,7 @@ from packaging.version import Version
 
 from splitslam.wire import session_pb2
 from tests.conftest import ROOT
+from tests.once import made_once
 from tests.wire import samples
 
 OLDEST = {"protobuf": "5.26.1", "grpcio": "1.64.0"}
@@ -58,19 +58,16 @@ def test_a_field_of_a_later_version_is_kept_and_a_cut_message_is_refused() -> No
 
 
 def _install_oldest() -> Path:
-    """A folder with the oldest protobuf and grpcio, made once (also when several test processes ask for it)."""
-    folder = ROOT / ".venv-compat" / f"py{sys.version_info[0]}{sys.version_info[1]}-protobuf-{OLDEST['protobuf']}"
-    folder.parent.mkdir(exist_ok=True)
-    with (folder.parent / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        done = folder / ".set-up"
-        if not done.exists():
-            pins = [f"{name}=={version}" for name, version in OLDEST.items()]
-            command = [sys.executable, "-m", "pip", "install", "-qq", "--only-binary=:all:", "--target", str(folder)]
-            installed = subprocess.run([*command, *pins], capture_output=True, text=True, timeout=200)
-            assert installed.returncode == 0, installed.stderr[-2000:]
-            done.touch()
-    return folder
+    """A folder with the oldest protobuf and grpcio."""
+
+    def install(folder: Path) -> None:
+        pins = [f"{name}=={version}" for name, version in OLDEST.items()]
+        command = [sys.executable, "-m", "pip", "install", "-qq", "--only-binary=:all:", "--target", str(folder)]
+        installed = subprocess.run([*command, *pins], capture_output=True, text=True, timeout=200)
+        assert installed.returncode == 0, installed.stderr[-2000:]
+
+    name = f"py{sys.version_info[0]}{sys.version_info[1]}-protobuf-{OLDEST['protobuf']}"
+    return made_once(ROOT / ".venv-compat" / name, install)
 
 
 def test_the_oldest_allowed_protobuf_writes_the_same_bytes_as_the_installed_one() -> None:

@@ -6,42 +6,27 @@ graph is the DDS domain $ROS_DOMAIN_ID (design.ros2.org, "Topic and Service name
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 from collections import Counter
 from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import (
-    DDSException,
-    GuardCondition,
-    InstanceState,
-    Listener,
-    ReadCondition,
-    SampleState,
-    ViewState,
-    WaitSet,
-)
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, WaitSet
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
-from cyclonedds.qos import Policy, Qos
-from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from edge_agent.ros.codec import Codec
+from edge_agent.ros.dds.subscription import TAKE, Subscription, qos_of
 from edge_agent.ros.dds.types import raw_type, ros_type_name
 from edge_agent.ros.graph import Delivery, Receive, Send
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
-from splitslam.logs import fields
 
-_log = logging.getLogger(__name__)
 _PREFIX = "rt/"
-_TAKE = 256  # samples at a time
-_UNREAD = SampleState.NotRead | ViewState.Any | InstanceState.Any
+_LOOK_MS = 200  # for publishers of another kind
 
 
 def domain_of(settings: Ros2Settings) -> int:
@@ -70,7 +55,7 @@ class DdsGraph:
         self._published = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._writers: dict[Any, Any] = {}  # of others, by key
         self._topics: dict[str, Topic] = {}
-        self._readers: list[tuple[ReadCondition, DataReader, Receive]] = []
+        self._subscriptions: list[Subscription] = []
         self._own: list[DataWriter] = []  # CycloneDDS takes back what nobody holds
         self._lock = threading.Lock()
         self._waitset = WaitSet(self._participant)
@@ -94,7 +79,7 @@ class DdsGraph:
         """Writers of other participants, on this machine and on others."""
         own = self._participant.guid
         with self._lock:
-            while samples := self._published.take(_TAKE):
+            while samples := self._published.take(TAKE):
                 for writer in samples:
                     if writer.sample_info.instance_state == InstanceState.Alive:
                         self._writers[writer.key] = writer
@@ -102,28 +87,18 @@ class DdsGraph:
                         self._writers.pop(writer.key, None)
             return [writer for writer in self._writers.values() if writer.participant_key != own]
 
-    def _is_reliable(self, topic: str) -> bool:
-        """The topic has writers, and each of them offers to send again what is lost."""
-        offers = [writer.qos[Policy.Reliability] for writer in self._others() if writer.topic_name == _dds_name(topic)]
-        return bool(offers) and all(isinstance(offer, Policy.Reliability.Reliable) for offer in offers)
-
     # --- messages -----------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, msgtype: str, delivery: Delivery, receive: Receive) -> None:
-        reliable = not delivery.sensor or self._is_reliable(topic)
-        if not reliable:
-            _log.info("best effort: what is lost on the way is not sent again", extra=fields(topic=topic))
-        qos = _qos(delivery, reliable)
-        listener = Listener(on_sample_lost=lambda _, status: self._on_lost(status.total_count_change))
-        reader = DataReader(self._participant, self._topic(topic, msgtype), qos, listener)
-        condition = ReadCondition(reader, _UNREAD)
+        dds = self._topic(topic, msgtype)
+        subscription = Subscription(self._participant, dds, delivery, receive, self._on_lost)
         with self._lock:
-            self._readers = [*self._readers, (condition, reader, receive)]
-            self._waitset.attach(condition)
+            self._subscriptions = [*self._subscriptions, subscription]
+            self._waitset.attach(subscription.condition)
 
     def advertise(self, topic: str, msgtype: str, delivery: Delivery) -> Send:
         dds = self._topic(topic, msgtype)
-        writer = DataWriter(self._participant, dds, _qos(delivery, reliable=True))
+        writer = DataWriter(self._participant, dds, qos_of(delivery, reliable=True))
         self._own.append(writer)
         return lambda raw: writer.write(dds.data_type(raw))
 
@@ -139,12 +114,12 @@ class DdsGraph:
 
     def _run(self) -> None:
         while not self._closed:
-            self._waitset.wait(duration(seconds=1))
-            for condition, reader, receive in self._readers:
-                while not self._closed and condition.triggered:
-                    for sample in reader.take(_TAKE):
-                        if not isinstance(sample, InvalidSample):  # a writer has gone
-                            receive(sample.raw)
+            self._waitset.wait(duration(milliseconds=_LOOK_MS))
+            for subscription in self._subscriptions:
+                if (condition := subscription.widened()) is not None:
+                    self._waitset.attach(condition)
+                if not self._closed:
+                    subscription.take()
 
     def close(self) -> None:
         if not self._closed:
@@ -158,14 +133,3 @@ class DdsGraph:
 
 def _dds_name(topic: str) -> str:
     return _PREFIX + topic.removeprefix("/")
-
-
-def _qos(delivery: Delivery, reliable: bool) -> Qos:
-    kind = Policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else Policy.Reliability.BestEffort
-    return Qos(
-        kind,
-        Policy.Durability.TransientLocal if delivery.latched else Policy.Durability.Volatile,
-        Policy.History.KeepLast(delivery.keep),
-        Policy.DurabilityService(duration(seconds=0), Policy.History.KeepLast(delivery.keep), -1, -1, -1),
-        Policy.DataRepresentation(use_cdrv0_representation=True),
-    )

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from edge_agent.sources.live.clock import SensorClock
+from edge_agent.sources.live.sensor_clock import SensorClock
 from edge_agent.sources.live.turns import Packet
 from edge_agent.sources.source import Event
 

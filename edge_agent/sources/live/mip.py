@@ -11,11 +11,11 @@ import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, groupby
 
 import numpy as np
 
-from edge_agent.sources.live.clock import SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
 from edge_agent.sources.live.smoothing import SmoothedArrivals
 from edge_agent.sources.source import Counts
@@ -56,19 +56,22 @@ class MipFeed:
         self._read, self._dropped = counts, dropped
         self._rest = b""
         self._arrivals = SmoothedArrivals()
+        self._in_gps_time = False
 
     def take(self, data: bytes, arrival_ns: int) -> Iterator[Reading]:
         """What the device had."""
         samples = [sample for packet in self._packets(data) if (sample := self._sample(packet)) is not None]
-        if not samples:
-            return
+        for _, of_one_clock in groupby(samples, key=lambda sample: sample.base):
+            yield self._reading(list(of_one_clock), arrival_ns)
+
+    def _reading(self, samples: list[_Sample], arrival_ns: int) -> Reading:
         stamps_ns = [sample.stamp_ns for sample in samples]
         known = [stamp_ns for stamp_ns in stamps_ns if stamp_ns is not None]
         if len(known) < len(samples):
             known = self._arrivals.stamps_ns(len(samples), arrival_ns)
         self._clock.heard(known[-1], arrival_ns, samples[-1].base)
         self._read.imu_messages += len(samples)
-        yield Reading(
+        return Reading(
             "imu",
             self._clock,
             ImuSamples(
@@ -125,12 +128,13 @@ class MipFeed:
         return _Sample(gyro_radps, (x, y, z), stamp_ns, base)
 
     def _stamp(self, fields: dict[int, memoryview]) -> tuple[int | None, TimeBase]:
-        """GPS' time while it is locked (and once chosen also after), else the device's own, else none."""
+        """GPS' time while it is locked (while the run goes on also after), else the device's own, else none."""
         for kind, locked_flags in _LOCKED_FLAGS.items():
             if kind in fields:
                 time_of_week_s, week, flags = _GPS.unpack(fields[kind])
                 locked = flags & locked_flags == locked_flags
-                if 0.0 <= time_of_week_s < _WEEK_S and self._takes_gps(locked):
+                self._in_gps_time = locked or (self._in_gps_time and bool(self._clock.chosen))
+                if 0.0 <= time_of_week_s < _WEEK_S and self._in_gps_time:
                     since_s = _GPS_EPOCH_S - _LEAP_S + week * _WEEK_S
                     stamp_ns = since_s * 1_000_000_000 + round(time_of_week_s * 1e9)
                     return stamp_ns, TimeBase.GPS if locked else TimeBase.OWN
@@ -139,10 +143,6 @@ class MipFeed:
             if stamp_ns < _LONGEST_NS:
                 return stamp_ns, TimeBase.OWN
         return None, TimeBase.NONE
-
-    def _takes_gps(self, locked: bool) -> bool:
-        chosen = self._clock.chosen
-        return chosen == TimeBase.GPS.value or (locked and not chosen)
 
 
 def _is_whole(buffer: bytes, start: int, end: int) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamError, NMEATypeError
 
-from edge_agent.sources.live.clock import SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
 from splitslam.scan import GnssFix
 

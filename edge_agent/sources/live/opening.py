@@ -24,7 +24,7 @@ from edge_agent.sources.source import Counts
 from splitslam.errors import InputError
 from splitslam.robot import Robot
 
-VELODYNES = ("vlp16", "hdl32", "hdl64")
+VELODYNES = ("vlp16", "hdl32")
 OUSTER = "ouster"
 VELODYNE_PORT, OUSTER_PORT = 2368, 7502
 _LIDAR, _IMU, _GNSS = "lidar", "imu", "gnss"
@@ -65,7 +65,10 @@ class _Opening:
             elevations = self._ouster()
         else:
             expected = ", ".join((*VELODYNES, OUSTER))
-            raise InputError(f"source.live: lidar.model: {model} is not read live; expected one of {expected}")
+            raise InputError(
+                f"source.live: lidar.model: {model} is not read live; expected one of {expected}, or source.ros2 with"
+                " the sensor's own driver"
+            )
         self._imu()
         self._gnss()
         robot = self._robot()

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent.sources.live.clock import SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
 from edge_agent.sources.live.frames import Columns, Frame, Frames
 from edge_agent.sources.raw import Gate, RawScan
@@ -150,7 +150,11 @@ class OusterLidarFeed:
         columns = self.parser.columns_of(data)
         newest_ns = int(columns.stamps_ns[columns.valid].max(initial=0))
         if newest_ns:
-            self._clock.heard(newest_ns, arrival_ns, self.parser.base(newest_ns))
+            base = self.parser.base(newest_ns)
+            if base is not self._clock.base:  # a frame is of one time
+                for frame in self._frames.flush():
+                    yield from self._decoded(frame)
+            self._clock.heard(newest_ns, arrival_ns, base)
         for frame in self._frames.add(columns):
             yield from self._decoded(frame)
 
@@ -211,6 +215,9 @@ class OusterImuFeed:
         stamp_ns, gyro_radps, accel_mps2 = self._parser.imu_of(data)
         self.counts["used"] += 1
         self._read.imu_messages += 1
+        if self._clock.chosen and self._parser.base(stamp_ns) is not self._clock.base:
+            self._dropped["clock_changed"] += 1  # the LiDAR's packets tell by how much
+            return
         if not np.isfinite([*gyro_radps, *accel_mps2]).all():
             self._dropped["imu_nan"] += 1
             return

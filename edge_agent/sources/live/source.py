@@ -145,6 +145,7 @@ class LiveSource:
                 for reading in input.feed.quiet():
                     yield from self._pass(reading, input.came_ns)
             input.port.tend()
+        self.clocks.look_around()
         yield from self._release(now_ns)
         self.presence.look(now_ns)
 

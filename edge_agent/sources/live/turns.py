@@ -15,13 +15,14 @@ from itertools import pairwise
 PACKET_BYTES = 1206
 DUAL_RETURN = 0x39
 HOUR_NS = 3_600_000_000_000
-_STEP_NS = {"vlp16": 1_327_104, "hdl32": 552_960, "hdl64": 288_000}  # from packet to packet, one return (user manuals)
+_STEP_NS = {"vlp16": 1_327_104, "hdl32": 552_960}  # from packet to packet, one return (user manuals)
 _PATIENCE = 2  # packets after the wrap that are waited for, should one of before come late
 _TAIL = struct.Struct("<IBB")
 _AZIMUTH = struct.Struct("<H")
 FULL_TURN = 36_000  # of 0.01 deg
 _MUCH = 0.5  # of a turn, that is lost in one piece
 _RESTART_NS = 1_000_000_000
+_BREAK = 4  # packets: more than that when a lock comes or goes is a step, and a turn is of one time
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,7 @@ class Turns:
         self.newest_ns = 0
         self._turn_ns = 1e9 / rate_hz
         self.counts = counts
+        self._known = False  # the time of the newest packet was by the sensor itself
         self._packets: list[Packet] = []  # by time
         self._whole = False  # the turn in `_packets` began at its wrap
         self._done_ns: int | None = None  # newest packet of the turn before
@@ -60,9 +62,11 @@ class Turns:
         sensor_ns = unwrapped(microseconds * 1000, near_ns if known or self.newest_ns == 0 else self.newest_ns)
         packet = Packet(sensor_ns, _AZIMUTH.unpack_from(data, 2)[0], data)
         done: list[list[Packet]] = []
-        if self.newest_ns and abs(sensor_ns - self.newest_ns) > _RESTART_NS:
+        limit_ns = _RESTART_NS if known is self._known else _BREAK * self.step_ns
+        if self.newest_ns and abs(sensor_ns - self.newest_ns) > limit_ns:
             done += self.flush()  # silence, or the sensor's clock has stepped
             self._done_ns = None
+        self._known = known
         self.newest_ns = sensor_ns
         if not self._insert(packet):
             return done

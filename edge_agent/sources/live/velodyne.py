@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_agent.sources.live import nmea
-from edge_agent.sources.live.clock import SensorClock, TimeBase
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
 from edge_agent.sources.live.turns import PACKET_BYTES, Packet, Turns, unwrapped
 from edge_agent.sources.raw import Gate
@@ -102,10 +102,10 @@ class VelodyneFeed:
             return
         utc_ns = self._position.utc_ns(arrival_ns)
         turns = self._turns.add(data, arrival_ns if utc_ns is None else utc_ns, known=utc_ns is not None)
+        for turn in turns:  # of before this packet, whose time may be another
+            yield from self._decoded(turn)
         base = TimeBase.OWN if utc_ns is None else TimeBase.GPS
         self._clock.heard(self._turns.newest_ns + self._turns.step_ns, arrival_ns, base)
-        for turn in turns:
-            yield from self._decoded(turn)
 
     def quiet(self) -> Iterator[Reading]:
         """The turn that has begun goes as far as it has come."""

@@ -1,0 +1,143 @@
+"""From the robot's disk to the store, whatever is killed on the way."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from edge_agent.clouds.sender import CloudSender
+from edge_agent.clouds.shelf import CloudShelf
+from edge_agent.metrics import EdgeMetrics
+from map_service.store import Store
+from splitslam.security.client import Connector
+from splitslam.security.settings import ClientTls
+from splitslam.wire import dense_pb2 as pb
+from splitslam.wire import session_pb2
+from tests.dense.made import OpenLink, cloud, opening
+from tests.dense.test_service import Connect, drive, stored
+from tests.map_service.harness import Operator, Service
+
+KEYFRAMES = (1, 6, 11)
+
+
+@contextmanager
+def sending(shelf: CloudShelf, service: Service, link: OpenLink) -> Iterator[CloudSender]:
+    connector = Connector(service.address, ClientTls())
+    sender = CloudSender(shelf, link, service.address, connector, EdgeMetrics(keep=False), lambda size: None)
+    sender.start()
+    try:
+        yield sender
+    finally:
+        sender.close()
+
+
+def wait_until(condition: Callable[[], bool], within_s: float = 20.0) -> None:
+    until_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+
+
+def filled(folder: Path, own: pb.UploadOpen, points: int = 300) -> CloudShelf:
+    """With the clouds of three keyframes, and of one scan of which the agent never heard what it was."""
+    before = CloudShelf(folder, 10**7, own)
+    for seq in KEYFRAMES:
+        before.put(seq, cloud(seq, points), is_key=True)
+    before.put(8, cloud(8))
+    return CloudShelf(folder, 10**7, own)
+
+
+def test_every_keyframe_goes_up_and_leaves_the_disk_and_the_service_says_which_are_none(
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
+) -> None:
+    drive(service, connect, 12, bye=True)
+    shelf = filled(tmp_path / "dense", opening(run_id))
+    with sending(shelf, service, OpenLink()) as sender:
+        wait_until(lambda: shelf.waiting == 0)
+        assert sender.sent == 3
+    assert not shelf.dropped
+    assert not list((tmp_path / "dense").glob("*/*.*"))
+    store = Store(service.store_url)
+    assert stored(store, session_id) == {i: cloud(seq) for i, seq in enumerate(KEYFRAMES)}
+    store.close()
+    sent = sum(len(cloud(seq)) for seq in KEYFRAMES)
+    assert sent < sender.tcp_bytes().sent < 1.2 * sent + 2000
+
+
+def test_nothing_is_sent_while_the_link_has_better_things_to_do_or_the_service_does_not_know_it(
+    tmp_path: Path, service: Service, connect: Connect, run_id: str
+) -> None:
+    drive(service, connect, 12, bye=True)
+    shelf, link = filled(tmp_path / "dense", opening(run_id)), OpenLink()
+    link.takes_dense = False
+    with sending(shelf, service, link) as sender:
+        time.sleep(0.6)
+        link.idle, link.takes_dense = False, True
+        time.sleep(0.6)
+        assert (link.sent, sender.tcp_bytes().sent) == ([], 0)
+        link.idle = True
+        wait_until(lambda: shelf.waiting == 0)
+
+
+@pytest.mark.parametrize(("limit_kbps", "largest"), [(None, 8192), (100.0, 3125), (1.0, 1024)])
+def test_a_piece_takes_a_quarter_of_a_second_of_the_limit_at_most(
+    tmp_path: Path,
+    service: Service,
+    connect: Connect,
+    run_id: str,
+    limit_kbps: float | None,
+    largest: int,
+) -> None:
+    drive(service, connect, 12, bye=True)
+    shelf, link = filled(tmp_path / "dense", opening(run_id), points=9000), OpenLink(limit_kbps)
+    with sending(shelf, service, link):
+        wait_until(lambda: shelf.waiting == 0)
+    assert largest <= max(link.sent) < largest + 30
+
+
+def test_a_service_that_is_killed_half_way_gets_every_scan_once(
+    tmp_path: Path, start_service: Callable[..., Service], connect: Connect, run_id: str, session_id: str
+) -> None:
+    service = start_service()
+    drive(service, connect, 12, bye=True)
+    shelf, link = filled(tmp_path / "dense", opening(run_id), points=9000), OpenLink(1.0)
+    with sending(shelf, service, link) as sender:
+        wait_until(lambda: sender.sent == 1 and sum(link.sent) > 1.5 * len(cloud(1, 9000)))
+        service.kill()
+        time.sleep(0.3)
+        service.start()
+        wait_until(lambda: shelf.waiting == 0, within_s=60.0)
+        assert sender.sent == 3
+    store = Store(service.store_url)
+    assert stored(store, session_id) == {i: cloud(seq, 9000) for i, seq in enumerate(KEYFRAMES)}
+    store.close()
+
+
+def test_the_scans_of_a_session_that_was_deleted_are_given_up_and_counted(
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
+) -> None:
+    drive(service, connect, 12, bye=True)
+    operator = Operator(service.address)
+    operator.stub.Delete(session_pb2.DeleteRequest(session_id=session_id))
+    operator.close()
+    shelf = filled(tmp_path / "dense", opening(run_id))
+    with sending(shelf, service, OpenLink()):
+        wait_until(lambda: shelf.waiting == 0)
+    assert shelf.dropped == {"deleted": 4}
+
+
+def test_a_cloud_that_was_damaged_on_disk_is_counted_and_not_sent(
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
+) -> None:
+    drive(service, connect, 12, bye=True)
+    shelf = filled(tmp_path / "dense", opening(run_id))
+    file = tmp_path / "dense" / run_id / "00000006.key"
+    file.write_bytes(file.read_bytes()[:-1] + b"x")
+    with sending(shelf, service, OpenLink()) as sender:
+        wait_until(lambda: shelf.waiting == 0)
+        assert sender.sent == 2
+    assert shelf.dropped == {"damaged": 1}
