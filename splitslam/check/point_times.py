@@ -134,7 +134,7 @@ class _Adjustment:
             prior = np.append(np.tile(_PRIOR**-2.0, scans), _PRIOR_SHARE**-2.0)
             prior[:6] = 1e12  # the first scan stays
             H[np.diag_indices_from(H)] += prior
-            step = np.linalg.solve(H, b - prior * np.append(xi.ravel(), self._share))
+            step = np.asarray(np.linalg.solve(H, b - prior * np.append(xi.ravel(), self._share)), np.float64)
             turn = step[:-1].reshape(scans, 6)
             xi += turn
             self._T[:, :3, 3] += (self._T[:, :3, :3] @ turn[:, 3:, None])[:, :, 0]

@@ -52,7 +52,7 @@ def as_recorded(scan: Scan, from_middle: np.ndarray, kind: str) -> Scan:
         case "deskewed":
             return replace(scan, points_lidar=from_middle.astype(np.float32))
         case "one moment":
-            return replace(scan, t_offset_ns=np.zeros_like(scan.t_offset_ns))
+            return replace(scan, t_offset_ns=np.full_like(scan.t_offset_ns, SPAN_NS // 2 + 40_000_000))
     return scan
 
 
@@ -76,6 +76,12 @@ def test_planes_are_thin_only_with_the_times_that_points_were_measured_at(
     assert found.sigma < tolerances.CHECK_POINT_TIMES
     assert [f.expected for f in point_times.findings(found)] == ([] if expected is None else [expected])
     assert all(f.severity is Severity.PROBLEM for f in point_times.findings(found))
+
+
+def test_turns_alone_tell_it_too() -> None:
+    found = looked_at("mirrored", made.SMOOTH_CAR)
+    assert found is not None
+    assert found.share == pytest.approx(-1.0, abs=tolerances.CHECK_POINT_TIMES)
 
 
 def test_points_without_a_time_of_their_own_tell_nothing_and_are_no_problem() -> None:
