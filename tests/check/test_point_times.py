@@ -79,7 +79,7 @@ def test_planes_are_thin_only_with_the_times_that_points_were_measured_at(
 
 
 def test_turns_alone_tell_it_too() -> None:
-    found = looked_at("mirrored", made.SMOOTH_CAR)
+    found = looked_at("mirrored", made.Drive(wobble_rad=0.0, surge_m=0.0, speed_mps=0.0))
     assert found is not None
     assert found.share == pytest.approx(-1.0, abs=tolerances.CHECK_POINT_TIMES)
 
