@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -102,7 +102,8 @@ def measure(asked: argparse.Namespace) -> dict[str, Any]:
             "two": round(2.0 * drawn / sum(drawing.values()), 1),
         },
         "cpu_share": {
-            where: round(sum(s for (of, _), s in cpu.items() if of == where) / lasted_s, 3) for where in ("view", "rerun")
+            where: round(sum(s for (of, _), s in cpu.items() if of == where) / lasted_s, 3)
+            for where in ("view", "rerun")
         },
         "load": Path("/proc/loadavg").read_text().split()[0],
         "viewer": said[-1:],
@@ -113,12 +114,12 @@ def _largest(cpu_s: Mapping[str, float], count: int = 6) -> list[tuple[str, floa
     return sorted(cpu_s.items(), key=lambda one: -one[1])[:count]
 
 
-def _cpu(view: int, page: int) -> Counter[tuple[str, str]]:
+def _cpu(view: int, page: int) -> dict[tuple[str, str], float]:
     """CPU seconds so far by thread, those of one name together: of our program, Rerun's server, and Chromium.
 
-    Chromium's threads run beside each other: the renderer's main one is the page, the GPU process's and llvmpipe-N draw.
+    Chromium's threads run beside each other: the renderer's main one is the page, those of the GPU process draw.
     """
-    found: Counter[tuple[str, str]] = Counter()
+    found: defaultdict[tuple[str, str], float] = defaultdict(float)
     for pid, command in tree(view):
         where = "rerun" if "--bind" in command else "view"
         for (_, name), s in threads_s([pid]).items():

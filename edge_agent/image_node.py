@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -59,7 +58,7 @@ class CpuImageNode:
         self._deskewer, self._limits = deskewer, limits
         self._project = Projector(rings, columns).project
         cells = rings * columns
-        self._deskewed = np.empty((cells, 3), np.float32)
+        self._moved = np.empty((cells, 3), np.float32)  # in the scan's order, of as many points as came at most
         self._marks = FeatureMarks(np.empty(cells, np.int32), np.empty(cells, np.uint8), np.empty(cells, np.uint8))
 
     @property
@@ -73,10 +72,12 @@ class CpuImageNode:
 
     def image(self, scan: Scan, knots: Knots) -> Image:
         """See ImageNode."""
-        seen = self._project(scan)  # Algorithm 1, lines 8-14, 16, 17
-        points = self._deskewed[: len(seen)]
-        self._deskewer.deskew(seen.points_lidar, seen.t_offset_ns, knots, points)  # line 15; equations 1 and 2
-        return replace(seen, points_lidar=points)
+        if len(self._moved) < len(scan):
+            self._moved = np.empty((len(scan), 3), np.float32)
+        moved = self._moved[: len(scan)]
+        # Algorithm 1, line 15 (equations 1 and 2), while the points are in the order of their times; lines 8-14, 16, 17
+        self._deskewer.deskew(scan.points_lidar, scan.t_offset_ns, knots, moved)
+        return self._project(scan, moved)
 
     def marks(self, image: Image) -> FeatureMarks:
         """See ImageNode."""

@@ -336,7 +336,7 @@ CLOCK_CHOSEN = gauge(
 CLOCK_CHANGES = counter(
     "splitslam_edge_sensor_clock_changes",
     "How often a live sensor's lock to GPS or PTP has come or gone while the run went on, without a step in its time",
-    "Antenna and pulse of the receiver, PTP's grandmaster; the log says when, and by how much the sensor's clock stepped.",
+    "Antenna and pulse of the receiver, PTP's grandmaster; the log says when, and by how much the clock stepped.",
     Label("sensor", SENSORS),
 )
 CLOCK_BEHIND = gauge(

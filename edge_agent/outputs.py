@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent._text_kernels import LONGEST_LINE, tum_lines
+from edge_agent._text_kernels import LONGEST_LINE, moved_lines
 from edge_agent.types import OdometryReply, OdomPoses
 from edge_agent.wire import state_name
 from splitslam import se3
@@ -65,11 +65,9 @@ class Outputs:
 
     def imu(self, poses: OdomPoses, T_map_odom: Array) -> None:
         """IMU-rate poses, T_map_odom as known at the time."""
-        positions = poses.positions_m @ T_map_odom[:3, :3].T + T_map_odom[:3, 3]
-        quats = rotate_quats(se3.quat_from_matrix(T_map_odom[:3, :3]), poses.quats_xyzw)
-        if len(self._text) < LONGEST_LINE * len(quats):
-            self._text = np.empty(LONGEST_LINE * len(quats), np.uint8)
-        size = tum_lines(poses.stamps_ns, positions, quats, self._text)
+        if len(self._text) < LONGEST_LINE * len(poses.stamps_ns):
+            self._text = np.empty(LONGEST_LINE * len(poses.stamps_ns), np.uint8)
+        size = moved_lines(poses.stamps_ns, poses.positions_m, poses.quats_xyzw, T_map_odom, self._text)
         self._files["imu.tum"].write(self._text[:size].tobytes().decode("ascii"))
 
     def publish(self, report: dict[str, Any], metrics: str = "") -> None:
@@ -108,13 +106,6 @@ def covariance_line(reply: OdometryReply) -> str:
     """One row: stamp, state by name, upper triangle of the covariance of T_map_lidar row by row (rad and m)."""
     numbers = ",".join(f"{value:.6e}" for value in reply.covariance[_UPPER])
     return f"{reply.stamp_ns},{state_name(reply.state)},{numbers}\n"
-
-
-def rotate_quats(left_xyzw: Array, quats_xyzw: Array) -> Array:
-    """Hamilton product left * q for each row of (M, 4)."""
-    x, y, z, w = left_xyzw
-    matrix = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
-    return quats_xyzw @ matrix.T
 
 
 def _temporary(folder: Path, name: str) -> Path:

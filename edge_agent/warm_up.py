@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent._text_kernels import LONGEST_LINE, tum_lines
+from edge_agent._text_kernels import LONGEST_LINE, moved_lines
 from edge_agent.imu import make_imu_node
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.odometry.ring import Ring
@@ -61,7 +61,7 @@ def warm_up(
 
 def _as_text(poses: OdomPoses) -> None:
     text = np.empty(LONGEST_LINE * len(poses.stamps_ns), np.uint8)
-    tum_lines(poses.stamps_ns, poses.positions_m, poses.quats_xyzw, text)
+    moved_lines(poses.stamps_ns, poses.positions_m, poses.quats_xyzw, np.eye(4), text)
 
 
 def _match(settings: OdometrySettings, frame: FeatureFrame, reply: OdometryReply) -> None:

@@ -13,6 +13,7 @@ from numba import njit
 from splitslam._motion_kernels import rotation_from_vector, vector_between
 
 FASTMATH = {"contract", "nsz"}
+BLOCK, AHEAD = 256, 64  # points
 UNIFORM = 2.1  # knots that are even need no more than twice the even segment: whole parts of an interval
 
 
@@ -146,35 +147,100 @@ def fill_table(offsets_ns, rotation, translation_m, breaks_ns, shift, scale, tab
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def deskew_points(points, t_offset_ns, shift, ticks, matrices, out):
+def deskew_points(points, t_offset_ns, shift, words, out):
     """out (N, 3) float32 = T_start_lidar(t) @ points (N, 3) float32, in steps of 2^-14 m.
 
-    ticks (S,) int32, matrices (S, 24) float64, base and slope: the table of fill_table. All values are whole numbers
-    below 2^53, so that float64 is exact and the processor's wide registers can be used. Times rise along a ring and
-    along a scan, so the segment is found by walking from the last one. Beyond 512 m a coordinate saturates.
+    words (S, 28) int32: the table of fill_table. All values are whole numbers below 2^53, so that float64 is exact and
+    the processor's wide registers can be used: x, y and z side by side, and many points of one segment at a time. In
+    the order of a scan times rise, so its points come by segments; any other order only takes longer.
     """
-    half = (1 << shift) >> 1
-    last = len(ticks) - 1
-    m = np.empty(12)
-    s = 0
-    for i in range(len(points)):
-        tick = min((max(np.int64(t_offset_ns[i]), 0) + half) >> shift, 0xFFFFFF)
-        while s > 0 and tick < ticks[s]:
-            s -= 1
-        while s < last and tick >= ticks[s + 1]:
-            s += 1
-        dt = np.float64(min(max(tick - ticks[s], 0), 0x1FFFF)) * 2.0**-20
-        for k in range(12):
-            m[k] = matrices[s, k] + np.floor(matrices[s, 12 + k] * dt + 0.5)
-        x, y, z = to_steps(points[i, 0]), to_steps(points[i, 1]), to_steps(points[i, 2])
-        for r in range(3):
-            total = m[4 * r] * x + m[4 * r + 1] * y + m[4 * r + 2] * z + m[4 * r + 3] * 2.0**21  # 2^-18 m to 2^-39
-            steps = np.floor(total * 2.0**-25 + 0.5)
-            out[i, r] = min(max(steps, -8388607.0), 8388607.0) * 2.0**-14
+    room = np.empty((3, BLOCK))
+    segment = np.int64(0)
+    for start in range(0, len(points), BLOCK):
+        block, times_ns = points[start : start + BLOCK], t_offset_ns[start : start + BLOCK]
+        x, y, z = room[0, : len(block)], room[1, : len(block)], room[2, : len(block)]
+        for k in range(len(block)):
+            x[k], y[k], z[k] = block[k, 0], block[k, 1], block[k, 2]
+        to_steps(x)
+        to_steps(y)
+        to_steps(z)
+        segment = move_block(x, y, z, times_ns, shift, words, segment)
+        moved = out[start : start + BLOCK]
+        for k in range(len(block)):
+            moved[k, 0], moved[k, 1], moved[k, 2] = x[k], y[k], z[k]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def to_steps(values):
+    """Coordinates (N,) in steps of 2^-14 m, halves rounded away from zero; within 24 bits. In place."""
+    for k in range(len(values)):
+        whole = min(np.floor(abs(values[k]) * 16384.0 + 0.5), 8388607.0)
+        values[k] = whole if values[k] >= 0.0 else -whole
 
 
 @njit(cache=True, nogil=True)
-def to_steps(v):
-    """A coordinate in steps of 2^-14 m, halves rounded away from zero; within 24 bits."""
-    whole = min(np.floor(abs(np.float64(v)) * 16384.0 + 0.5), 8388607.0)
-    return whole if v >= 0.0 else -whole
+def span_of(words, segment, shift):
+    """(first, end) ns whose nearest tick is in the segment: the first reaches back and the last ahead for ever."""
+    half = (1 << shift) >> 1
+    first = (np.int64(words[segment, 0]) << shift) - half if segment > 0 else np.int64(-1 << 40)
+    end = (np.int64(words[segment + 1, 0]) << shift) - half if segment + 1 < len(words) else np.int64(1 << 40)
+    return first, end
+
+
+@njit(cache=True, nogil=True)
+def together(times_ns, first_ns, end_ns):
+    """How many times there are before the first one that is not in [first, end)."""
+    out_at = np.int32(len(times_ns))
+    for k in range(len(times_ns)):
+        is_in = (first_ns <= times_ns[k]) & (times_ns[k] < end_ns)
+        out_at = min(out_at, np.int32(len(times_ns)) if is_in else np.int32(k))
+    return out_at
+
+
+@njit(cache=True, nogil=True)
+def move_block(x, y, z, times_ns, shift, words, segment):
+    """x, y, z (N,) in steps of 2^-14 m become the moved points', m. Returns the last one's segment.
+
+    segment: that of the points before; from there the next one is found by walking.
+    """
+    first_ns, end_ns = span_of(words, segment, shift)
+    i = 0
+    while i < len(times_ns):
+        while times_ns[i] < first_ns or times_ns[i] >= end_ns:
+            segment += -1 if times_ns[i] < first_ns else 1
+            first_ns, end_ns = span_of(words, segment, shift)
+        j = i + together(times_ns[i : i + AHEAD], first_ns, end_ns)
+        move(x[i:j], y[i:j], z[i:j], times_ns[i:j], shift, words[segment])
+        i = j
+    return segment
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def move(x, y, z, times_ns, shift, word):
+    """Points x, y, z (N,) of one segment, word (28,): from steps of 2^-14 m to m at the scan's reference time.
+
+    Units: matrix 2^-25, 2^-18 m; times the point 2^-39 m.
+    """
+    half, begin = (1 << shift) >> 1, word[0]
+    for k in range(len(times_ns)):
+        tick = np.int32(min((max(np.int64(times_ns[k]), 0) + half) >> shift, 0xFFFFFF))
+        dt = np.float64(min(max(np.int32(tick - begin), 0), 0x1FFFF)) * 2.0**-20
+        a, b, c = at(word, 0, dt), at(word, 1, dt), at(word, 2, dt)
+        moved_x = a * x[k] + b * y[k] + c * z[k] + at(word, 3, dt) * 2.0**21
+        a, b, c = at(word, 4, dt), at(word, 5, dt), at(word, 6, dt)
+        moved_y = a * x[k] + b * y[k] + c * z[k] + at(word, 7, dt) * 2.0**21
+        a, b, c = at(word, 8, dt), at(word, 9, dt), at(word, 10, dt)
+        moved_z = a * x[k] + b * y[k] + c * z[k] + at(word, 11, dt) * 2.0**21
+        x[k], y[k], z[k] = in_metres(moved_x), in_metres(moved_y), in_metres(moved_z)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def at(word, e, dt):
+    """Entry e of a segment's 3x4 matrix, dt slopes after its begin."""
+    return word[4 + e] + np.floor(word[16 + e] * dt + 0.5)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def in_metres(moved):
+    """From 2^-39 m to the nearest 2^-14 m. Beyond 512 m a coordinate saturates."""
+    return min(max(np.floor(moved * 2.0**-25 + 0.5), -8388607.0), 8388607.0) * 2.0**-14

@@ -18,7 +18,6 @@ class CpuDeskewer:
 
     def __init__(self) -> None:
         self._words = np.empty((MOST_SEGMENTS, WORDS), np.int32)
-        self._matrices = np.empty((MOST_SEGMENTS, WORDS - 4))
 
     def effective(self, knots: Knots) -> Knots:
         """The motion this back end removes: all of it."""
@@ -34,9 +33,7 @@ class CpuDeskewer:
         """See edge_agent.deskew.Deskewer."""
         table = fixed_table(knots, self._words)
         if table.fits:
-            matrices = self._matrices[: len(table.words)]
-            matrices[:] = table.words[:, 4:]
-            deskew_points(points_lidar, t_offset_ns, table.shift, table.words[:, 0], matrices, out)
+            deskew_points(points_lidar, t_offset_ns, table.shift, table.words, out)
         else:
             out[:] = deskew_float64(points_lidar.astype(np.float64), t_offset_ns, knots)
         return out

@@ -50,11 +50,10 @@ class AcceleratedImageNode:
         self.counts["unusable_points"] += seen.invalid
         self._marks = seen.marks
         return Image(
+            scan=scan,
             points_lidar=seen.points_lidar,
-            ring=seen.ring,
             column=seen.column,
-            t_offset_ns=scan.t_offset_ns[seen.source],
-            intensity=scan.intensity[seen.source],
+            source=seen.source,
             ring_start=seen.ring_start,
             duplicates=seen.duplicates,
             outside=seen.outside,

@@ -12,7 +12,6 @@ from numba import njit
 
 FASTMATH = {"contract", "nsz"}
 ARCTANGENTS = np.array([round(math.atan(2.0**-i) / (2.0 * math.pi) * 2.0**27) for i in range(22)])  # of 2^-27 turns
-NEAR_RAD = 2e-6  # the CORDIC errs by at most 0.9e-6
 BLOCK = 256
 QUICK_NEAR_RAD = np.float32(4e-6)
 STEPS, NEAREST_STEPS, FURTHEST_STEPS = np.float32(1 << 14), np.float32(1 << 12), np.float32(1 << 22)  # 0.25 to 256 m
@@ -39,10 +38,9 @@ def cordic_azimuth(x, y):
     angle = np.int64(1 << 26 if x < 0 else 0)
     u, v = abs(x) << 2, (-y if x < 0 else y) << 2
     for i in range(22):
-        if v < 0:
-            u, v, angle = u - (v >> i), v + (u >> i), angle - ARCTANGENTS[i]
-        else:
-            u, v, angle = u + (v >> i), v - (u >> i), angle + ARCTANGENTS[i]
+        down = v >> 63  # all ones below the axis: (a ^ down) - down is -a there; nobody could guess a branch
+        u, v = u + ((v >> i ^ down) - down), v - ((u >> i ^ down) - down)
+        angle += (ARCTANGENTS[i] ^ down) - down
     return ((angle + (1 << 26)) & ((1 << 27) - 1)) - (1 << 26)
 
 
@@ -50,17 +48,17 @@ def cordic_azimuth(x, y):
 def column_of(x, y, columns):
     """The column of a point, by LIO-SAM: -round((atan2(x, y) - 90 deg) / resolution) + columns / 2.
 
-    The angle in it is minus the azimuth. x, y in m. Near the edge of a column as the logic has it, which is to the bit.
+    The angle in it is minus the azimuth. x, y in m. Within 512 m as the logic has it, which is to the bit.
     """
     a, b = to_steps(x), to_steps(y)
-    per_rad = columns / (2.0 * math.pi)
-    v = math.atan2(b, a) * per_rad
-    edge = abs(v) + 0.5
-    whole = np.int64(edge)
-    if abs(edge - np.floor(edge + 0.5)) < NEAR_RAD * per_rad and abs(a) < 8388608.0 and abs(b) < 8388608.0:
+    if abs(a) < 8388608.0 and abs(b) < 8388608.0:
         angle = cordic_azimuth(np.int64(a), np.int64(b)) * columns
-        whole, v = (abs(angle) + (1 << 26)) >> 27, np.float64(angle)
-    column = columns // 2 + (whole if v >= 0.0 else -whole)
+        whole = (abs(angle) + (1 << 26)) >> 27
+        column = columns // 2 + (whole if angle >= 0 else -whole)
+    else:
+        v = math.atan2(b, a) * columns / (2.0 * math.pi)
+        whole = np.int64(abs(v) + 0.5)
+        column = columns // 2 + (whole if v >= 0.0 else -whole)
     if column < 0:  # of an odd number of columns
         column += columns
     return column - columns if column >= columns else column
@@ -103,65 +101,69 @@ def known_points(ring, rings):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
-def project(points, ring, cells, counts):
+def project(points, ring, cells, ranges, counts):
     """cells (rings, columns) int32: index of the first point of each cell, -1 where there is none.
 
-    counts (2,) int64: points dropped because the cell was taken, because the ring does not exist.
+    ranges (N,) int32, 1/1024 m. counts (2,) int64: points dropped because the cell was taken, because the ring does not
+    exist.
     """
     rings, columns = cells.shape
     cells[:] = -1
     counts[:] = 0
-    x, y, found = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.int32)
+    room, found = np.empty((3, BLOCK), np.float32), np.empty(BLOCK, np.int32)
     for start in range(0, len(points), BLOCK):
-        size = min(BLOCK, len(points) - start)
-        for k in range(size):  # side by side, so that wide registers can take them
-            x[k], y[k] = points[start + k, 0], points[start + k, 1]
-        quick_columns(x[:size], y[:size], columns, found[:size])
-        for k in range(size):
-            i = start + k
-            row = ring[i]
+        block = points[start : start + BLOCK]
+        x, y, z = room[0, : len(block)], room[1, : len(block)], room[2, : len(block)]
+        for k in range(len(block)):  # side by side, so that wide registers can take them
+            x[k], y[k], z[k] = block[k, 0], block[k, 1], block[k, 2]
+        quick_columns(x, y, columns, found[: len(block)])
+        range_units(x, y, z, ranges[start : start + BLOCK])
+        for k in range(len(block)):
+            row = ring[start + k]
             if row >= rings:
                 counts[1] += 1
                 continue
             column = np.int64(found[k])
             if column < 0:
-                column = column_of(points[i, 0], points[i, 1], columns)
+                column = column_of(x[k], y[k], columns)
             if cells[row, column] >= 0:
                 counts[0] += 1
             else:
-                cells[row, column] = i
+                cells[row, column] = start + k
 
 
 @njit(cache=True, nogil=True)
-def range_units(x, y, z):
-    """Range in 1/1024 m, rounded down, of coordinates that are first rounded to 2^-14 m; 1 to 2^18 - 1 (256 m).
+def range_units(x, y, z, ranges):
+    """ranges (N,) int32, 1 to 2^18 - 1: in 1/1024 m, rounded down, of coordinates (N,) first rounded to 2^-14 m.
 
     In whole numbers throughout (float64 holds them all exactly), so that the programmable logic finds the same.
     """
-    a, b, c = to_steps(x), to_steps(y), to_steps(z)
-    units = np.int64(math.sqrt(np.floor((a * a + b * b + c * c) / 256.0)))
-    return min(max(units, 1), 262143)
+    for k in range(len(ranges)):
+        a = np.floor(abs(np.float64(x[k])) * 16384.0 + 0.5)
+        b = np.floor(abs(np.float64(y[k])) * 16384.0 + 0.5)
+        c = np.floor(abs(np.float64(z[k])) * 16384.0 + 0.5)
+        units = math.sqrt(np.floor((a * a + b * b + c * c) / 256.0))
+        ranges[k] = np.int32(min(max(units, 1.0), 262143.0))
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH)
-def gather(cells, points, out_points, out_range, out_column, source, ring_start):
+@njit(cache=True, nogil=True)
+def gather(cells, points, ranges, out_points, out_range, out_column, source, ring_start):
     """Lays the cells' points out by ring, then column; ring_start (rings + 1,). Returns how many there are.
 
-    source (M,) intp is each point's index in the scan; out_range (M,) int32 its range, 1/1024 m.
+    points (N, 3) float32, as seen or moved; ranges (N,) of `project`. Outputs have room for all cells; source int32 is
+    each point's index in the scan.
     """
     rings, columns = cells.shape
     n = 0
     for row in range(rings):
-        ring_start[row] = n
+        ring_start[row] = first = n
+        line = cells[row]
         for column in range(columns):
-            i = cells[row, column]
-            if i < 0:
-                continue
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            out_points[n, 0], out_points[n, 1], out_points[n, 2] = x, y, z
-            out_range[n] = range_units(x, y, z)
-            out_column[n] = column
-            source[n] = i
-            n += 1
+            source[n], out_column[n] = line[column], column  # to stay only if there is a point
+            n += line[column] >= 0
+        for k in range(first, n):
+            i = np.uint32(source[k])
+            out_points[k, 0], out_points[k, 1], out_points[k, 2] = points[i, 0], points[i, 1], points[i, 2]
+            out_range[k] = ranges[i]
     ring_start[rings] = n
     return n

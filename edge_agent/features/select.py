@@ -10,11 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.features import _choice_kernels as choice
 from edge_agent.features import _kernels as kernels
+from edge_agent.features._thinning_kernels import thin_surfs
 from edge_agent.features.integer import FLAT, FeatureMarks
 from edge_agent.features.projection import Image
 from edge_agent.settings import FeatureSettings
 from splitslam.features import FeatureSet
+
+Index = NDArray[np.int32]  # rows of an image, rising
 
 
 class Selector:
@@ -25,12 +29,8 @@ class Selector:
         cells = rings * columns
         self._picked = np.empty(cells, np.uint8)
         self._rank = np.empty(cells, np.uint8 if settings.corners_per_sector < 256 else np.uint16)
-        self._kept = np.empty(cells, np.uint8)
-        self._chosen = np.empty(cells, np.uint8)
-        self._group = np.empty(cells, np.uint8)
-        self._voxel_of = np.empty(cells, np.int32)
-        self._index = np.empty(cells, np.int32)
-        self._wanted = (0, 0)
+        self._corners, self._surfs = np.empty(cells, np.int32), np.empty(cells, np.int32)
+        self._found = self._wanted = (0, 0)
         slots = 1 << (2 * columns - 1).bit_length()
         self._table = np.empty((slots, 2), np.int64)
         self._sums = np.empty((columns, 6))
@@ -41,14 +41,15 @@ class Selector:
         times: as many points as usual in a sparse one.
         """
         s, n = self.settings, len(image)
-        picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
-        corners = kernels.select_corners(
+        picked, rank = self._picked[:n], self._rank[:n]
+        kernels.select_corners(
             found.d, found.marks, image.column, picked, image.ring_start, s.sectors, s.corners_per_sector, rank
         )
-        surfs = kernels.thin_surfs(
-            image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._voxel_of[:n], kept
+        corners = kernels.indices(rank, self._corners)
+        surfs = thin_surfs(
+            image.points_lidar, rank, image.ring_start, s.surf_leaf_m, self._table, self._sums, self._surfs
         )
-        self._wanted = (corners, surfs)
+        self._found = self._wanted = (corners, surfs)
         if not dense:
             self._wanted = (min(corners, round(times * s.sparse_corners)), min(surfs, round(times * s.sparse_surfs)))
         return int(sum(self._wanted))
@@ -57,44 +58,52 @@ class Selector:
         self, image: Image, found: FeatureMarks, dense: bool, share: float = 1.0
     ) -> tuple[FeatureSet, FeatureSet]:
         """(corners, surfs) out of what `find` has found in this image, or an even share of them. All copies."""
-        n = len(image)
-        rank, kept, chosen = self._rank[:n], self._kept[:n], self._chosen[:n]
-        corners, surfs = (round(share * wanted) for wanted in self._wanted)
-        everything = dense and share >= 1.0
-        if not everything:  # the sharpest of every sector first, then the second of each, until there are enough
-            kernels.sharpest(rank, corners, chosen)
-        taken_corners = self._take(image, rank if everything else chosen)
-        if dense and not everything:
-            kernels.spread(kept, surfs, chosen)
-        elif not dense:
-            self._facing_all_ways(image, kept, found, surfs, chosen)
-        return taken_corners, self._take(image, kept if everything else chosen)
+        corners, surfs = self._corners[: self._found[0]], self._surfs[: self._found[1]]
+        fewer_corners, fewer_surfs = (round(share * wanted) for wanted in self._wanted)
+        if not dense or share < 1.0:
+            corners = self._sharpest(corners, fewer_corners)
+            surfs = _spread(surfs, fewer_surfs) if dense else _facing_all_ways(image, surfs, found, fewer_surfs)
+        return _taken(image, corners), _taken(image, surfs)
 
-    def _facing_all_ways(
-        self, image: Image, kept: NDArray[np.uint8], found: FeatureMarks, target: int, chosen: NDArray[np.uint8]
-    ) -> None:
-        """Flat and reliable ones, evenly by which way they face; rougher ones only when there are too few.
+    def _sharpest(self, corners: Index, target: int) -> Index:
+        """The sharpest of every sector first, then the second of each, until there are enough."""
+        chosen = np.empty(len(corners), np.bool_)
+        choice.sharpest(self._rank[corners], target, chosen)
+        return corners[chosen]
 
-        Rusinkiewicz, Levoy, "Efficient variants of the ICP algorithm", 2001, section 3.1: normal-space sampling.
-        """
-        n = len(kept)
-        flat, group = self._picked[:n], self._group[:n]
-        kernels.pick(kept, found.marks, FLAT, True, flat)
-        kernels.facing(image.points_lidar, image.column, image.ring_start, flat, group)
-        taken = kernels.spread_by_group(flat, group, target, chosen)
-        if taken < target:
-            rough, more = group, flat  # neither is needed any more
-            kernels.pick(kept, found.marks, FLAT, False, rough)
-            kernels.spread(rough, target - taken, more)
-            np.bitwise_or(chosen, more, out=chosen)
 
-    def _take(self, image: Image, chosen: NDArray[np.unsignedinteger]) -> FeatureSet:
-        """Copies of the points with chosen[i] not 0."""
-        index = self._index[: kernels.indices(chosen, self._index)]
-        return FeatureSet(
-            points_lidar=image.points_lidar[index],
-            ring=image.ring[index],
-            column=image.column[index],
-            t_offset_ns=image.t_offset_ns[index],
-            intensity=image.intensity[index],
-        )
+def _spread(index: Index, target: int) -> Index:
+    chosen = np.empty(len(index), np.bool_)
+    choice.spread(target, chosen)
+    return index[chosen]
+
+
+def _facing_all_ways(image: Image, surfs: Index, found: FeatureMarks, target: int) -> Index:
+    """Flat and reliable ones, evenly by which way they face; rougher ones only when there are too few.
+
+    Rusinkiewicz, Levoy, "Efficient variants of the ICP algorithm", 2001, section 3.1: normal-space sampling.
+    """
+    is_flat = found.marks[surfs] == FLAT
+    flat = surfs[is_flat]
+    group, chosen = np.empty(len(flat), np.uint8), np.empty(len(flat), np.bool_)
+    choice.facing(image.points_lidar, image.column, image.ring_start, flat, group)
+    taken = choice.spread_by_group(group, target, chosen)
+    flat = flat[chosen]
+    if taken >= target:
+        return flat
+    return np.sort(np.concatenate([flat, _spread(surfs[~is_flat], target - taken)]))
+
+
+def _taken(image: Image, index: Index) -> FeatureSet:
+    """Copies of these points."""
+    n, scan = len(index), image.scan
+    taken = FeatureSet(
+        points_lidar=np.empty((n, 3), np.float32),
+        ring=np.empty(n, np.uint8),
+        column=np.empty(n, np.uint16),
+        t_offset_ns=np.empty(n, np.int32),
+        intensity=np.empty(n, np.uint8),
+    )
+    seen = image.points_lidar, image.column, image.source, scan.ring, scan.t_offset_ns, scan.intensity
+    choice.take(seen, index, (taken.points_lidar, taken.ring, taken.column, taken.t_offset_ns, taken.intensity))
+    return taken

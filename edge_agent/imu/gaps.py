@@ -8,6 +8,7 @@ So everything that integrates goes on, and the answers of the map service carry 
 from __future__ import annotations
 
 from collections import deque
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -37,11 +38,12 @@ class Gaps:
 
     def seen(self, stamps_ns: NDArray[np.int64]) -> None:
         """Takes the stamps of real samples."""
-        for stamp_ns in stamps_ns.tolist():
-            if self._last_ns is not None and stamp_ns > self._last_ns:
-                self._periods_ns.append(stamp_ns - self._last_ns)
-                self._unheard += 1
-            self._last_ns = stamp_ns
+        stamps = stamps_ns.tolist()
+        known = stamps if self._last_ns is None else [self._last_ns, *stamps]
+        periods = [after - before for before, after in pairwise(known) if after > before]
+        self._periods_ns.extend(periods)
+        self._unheard += len(periods)
+        self._last_ns = known[-1] if known else None
 
     def between(self, last_ns: int, next_ns: int) -> bool:
         """Is so long a time without samples a gap?"""

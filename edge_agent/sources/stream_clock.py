@@ -75,10 +75,8 @@ class StreamClock(Generic[T]):
         """`admit` of many messages at once, each of which `follows` the one before. run: all of them."""
         offset_ns = self._offset_ns
         self._last_ns = stamps_ns[-1] + offset_ns
-        self._came(
-            (arrival_ns, arrival_ns - stamp_ns - offset_ns)
-            for stamp_ns, arrival_ns in zip(stamps_ns, arrivals_ns, strict=True)
-        )
+        late_ns = [arrival - stamp - offset_ns for stamp, arrival in zip(stamps_ns, arrivals_ns, strict=True)]
+        self._came(zip(arrivals_ns, late_ns, strict=True))
         return shifted(run, offset_ns)
 
     def _look_at(self, message: _Message[T]) -> list[T]:

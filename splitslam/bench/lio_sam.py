@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.features import _kernels as kernels
+from edge_agent.features._thinning_kernels import thin_surfs
 from edge_agent.features.integer import RANGE_UNITS_PER_M, FeatureMarks, Limits
 from edge_agent.features.projection import Image
 from edge_agent.settings import FeatureSettings
@@ -38,8 +39,8 @@ class LioSamFeatures:
     def __init__(self, rings: int, columns: int) -> None:
         cells = rings * columns
         self.limits = Limits.of(SETTINGS)
-        self._picked, self._kept = np.empty(cells, np.uint8), np.empty(cells, np.uint8)
-        self._rank, self._voxel_of = np.empty(cells, np.uint8), np.empty(cells, np.int32)
+        self._picked, self._rank = np.empty(cells, np.uint8), np.empty(cells, np.uint8)
+        self._surfs = np.empty(cells, np.int32)
         slots = 1 << (2 * columns - 1).bit_length()
         self._table, self._sums = np.empty((slots, 2), np.int64), np.empty((columns, 6))
 
@@ -52,14 +53,12 @@ class LioSamFeatures:
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows of the image's corners and surfs. image: deskewed points. marks: made with `limits`."""
         n = len(image)
-        picked, rank, kept = self._picked[:n], self._rank[:n], self._kept[:n]
+        picked, rank = self._picked[:n], self._rank[:n]
         kernels.select_corners(
             marks.d, marks.marks, image.column, picked, image.ring_start, SETTINGS.sectors, corners_per_sector, rank
         )
-        kernels.thin_surfs(
-            image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._voxel_of[:n], kept
-        )
-        return np.flatnonzero(rank), np.flatnonzero(kept)
+        count = thin_surfs(image.points_lidar, rank, image.ring_start, leaf_m, self._table, self._sums, self._surfs)
+        return np.flatnonzero(rank), self._surfs[:count].astype(np.intp)
 
 
 def raw_message(points_lidar: NDArray[np.float32], ring: NDArray[np.uint8], t_offset_ns: NDArray[np.int32]) -> bytes:

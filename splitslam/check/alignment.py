@@ -74,6 +74,30 @@ class _State:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Felt:
+    """What the IMU says of the poses' times at one delay, in its own frame, whatever way it is mounted.
+
+    turns, turns_by_delay: (K - 1, 3) from pose to pose, rad, and rad/s. force (N, 3), by_force (N, 3, 3): see
+    ImuTrack.force; force_by_delay (N, 3).
+    """
+
+    turns: Array
+    turns_by_delay: Array
+    force: Array
+    by_force: Array
+    force_by_delay: Array
+
+    @classmethod
+    def of(cls, track: ImuTrack, t_s: Array, lag: int) -> _Felt:
+        """t_s: (K,) the poses' times by the IMU's clock."""
+        after, before = (increments(track.rotations(t_s + step_s)) for step_s in (_STEP_S, -_STEP_S))
+        force, by_force = track.force(t_s, lag)
+        later, _ = track.force(t_s + _STEP_S, lag)
+        turns = increments(track.rotations(t_s))
+        return cls(turns, (after - before) / (2 * _STEP_S), force, by_force, (later - force) / _STEP_S)
+
+
 class _Problem:
     """The measurements of one stretch of motion."""
 
@@ -90,6 +114,7 @@ class _Problem:
         imu_m = motion.T_odom_lidar[:, :3, 3] + R @ t_lidar_imu_m
         self.velocity_change = bend(self.t_s, imu_m, self.lag)
         self.tent_s = 0.5 * (self.t_s[2 * self.lag :] - self.t_s[: -2 * self.lag])
+        self._felt: tuple[ImuTrack, float, _Felt] | None = None
 
     def track(self, gyro_bias: Array) -> ImuTrack:
         return ImuTrack(self.samples, self.origin_ns, gyro_bias)
@@ -99,30 +124,31 @@ class _Problem:
         start_s, end_s = track.span_s
         return (self.t_s + tau_s > start_s + 0.02) & (self.t_s + tau_s < end_s - 0.02)
 
+    def felt(self, track: ImuTrack, tau_s: float) -> _Felt:
+        """All places to start have one track and one delay: what does not depend on the mounting is found once."""
+        if self._felt is None or self._felt[0] is not track or self._felt[1] != tau_s:
+            self._felt = track, tau_s, _Felt.of(track, self.t_s + tau_s, self.lag)
+        return self._felt[2]
+
     def rotation(self, s: _State, track: ImuTrack) -> tuple[Array, Array]:
         """Residuals (N, 3) and their Jacobian (N, 3, 13)."""
-
-        def turned(tau_s: float) -> Array:
-            return increments(track.rotations(self.t_s + tau_s)) @ s.X.T
-
-        predicted = turned(s.tau_s)
+        felt = self.felt(track, s.tau_s)
+        predicted = felt.turns @ s.X.T
         J = np.zeros((len(predicted), 3, 13))
         J[:, :, _PHI] = hats(predicted)
-        J[:, :, _TAU] = (turned(s.tau_s - _STEP_S) - turned(s.tau_s + _STEP_S)) / (2 * _STEP_S)
+        J[:, :, _TAU] = -felt.turns_by_delay @ s.X.T
         J[:, :, _GYRO] = s.X * self.dt_s[:, None, None]
         return self.turns - predicted, J
 
     def velocity(self, s: _State, track: ImuTrack) -> tuple[Array, Array]:
         """Residuals (N, 3) and their Jacobian (N, 3, 13)."""
-        X_odom = self.R_mid @ s.X
-        force, by_force = track.force(self.t_s + s.tau_s, self.lag)
-        later, _ = track.force(self.t_s + s.tau_s + _STEP_S, self.lag)
-        measured = force - by_force @ s.accel_bias
+        X_odom, felt = self.R_mid @ s.X, self.felt(track, s.tau_s)
+        measured = felt.force - felt.by_force @ s.accel_bias
         predicted = (X_odom @ measured[:, :, None])[:, :, 0] + self.tent_s[:, None] * s.gravity
         J = np.zeros((len(predicted), 3, 13))
         J[:, :, _PHI] = self.R_mid @ hats(measured @ s.X.T)
-        J[:, :, _TAU] = -(X_odom @ (later - force)[:, :, None])[:, :, 0] / _STEP_S
-        J[:, :, _ACCEL] = X_odom @ by_force
+        J[:, :, _TAU] = -(X_odom @ felt.force_by_delay[:, :, None])[:, :, 0]
+        J[:, :, _ACCEL] = X_odom @ felt.by_force
         J[:, :, _DOWN] = -self.tent_s[:, None, None] * np.eye(3)
         return self.velocity_change - predicted, J
 
@@ -210,8 +236,7 @@ def _candidates(problem: _Problem, track: ImuTrack, T_lidar_imu: Array, tau_s: f
     """Places to start: the best rotation of turns onto turns, and others that agree with it about the main axis."""
     good = problem.inside(track, tau_s)
     pairs = good[1:] & good[:-1]
-    turns = increments(track.rotations(problem.t_s + tau_s))
-    M = problem.turns[pairs].T @ turns[pairs]
+    M = problem.turns[pairs].T @ problem.felt(track, tau_s).turns[pairs]
     size = float(np.linalg.norm(M))
     best, near_file = _rotation_nearest(M), _rotation_nearest(M + 0.1 * size * T_lidar_imu[:3, :3])
     axis = np.linalg.svd(M)[0][:, 0]
@@ -227,9 +252,9 @@ def _rotation_nearest(M: Array) -> Array:
 
 def _begin(problem: _Problem, track: ImuTrack, X: Array, tau_s: float) -> tuple[float, _State]:
     """Cost of a start with the gravity and biases that fit it best."""
-    force, _ = track.force(problem.t_s + tau_s, problem.lag)
-    felt = problem.velocity_change - (problem.R_mid @ X @ force[:, :, None])[:, :, 0]
-    gravity = np.median(felt / problem.tent_s[:, None], axis=0)
+    force = problem.felt(track, tau_s).force
+    unexplained = problem.velocity_change - (problem.R_mid @ X @ force[:, :, None])[:, :, 0]
+    gravity = np.median(unexplained / problem.tent_s[:, None], axis=0)
     gravity *= problem.gravity_mps2 / max(float(np.linalg.norm(gravity)), 1e-6)
     state = _State(X, tau_s, np.zeros(3), np.zeros(3), gravity)
     for _ in range(3):  # biases and gravity alone

@@ -51,7 +51,9 @@ def view(
         tls = ClientTls(ca=ca, cert=cert, key=key, token=token, insecure=insecure)
     except ValidationError as error:
         raise InputError(f"splitslam view: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
-    options = ViewOptions(target, save, web, browser, port, web_port, memory, voxel, points, robot, site, session, seconds, tls)
+    options = ViewOptions(
+        target, save, web, browser, port, web_port, memory, voxel, points, robot, site, session, seconds, tls
+    )
     check_view_installed()
     from splitslam.view.command import run_view
 

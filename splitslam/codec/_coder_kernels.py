@@ -175,7 +175,7 @@ def bits_of(x):
     return min(max((level(x) >> 1) + 1, 1), MOST_GUESSED)
 
 
-@borrowing
+@inlined
 def code_number(state, data, model, where, value, signed, guess, modelled):
     """An integer below 2^30 in size: its bits, from as many as guessed (1 to MOST_GUESSED) up or down; its sign.
 
@@ -214,7 +214,7 @@ def block(a, b, c, d):
     return a * BLOCK, b * BLOCK, c * BLOCK, d * BLOCK
 
 
-@borrowing
+@inlined
 def code_flag(state, data, model, where, bit):
     """A bit in contexts of its own."""
     return code_bit(state, data, model, where, 0, bit)

@@ -10,6 +10,10 @@ from numba import njit
 from splitslam.codec._point_kernels import COLUMN
 
 FASTMATH = {"contract", "nsz"}
+BINS = 1024
+_ANGLES = [2.0 * math.pi * i / BINS for i in range(BINS // 2)]
+_TURNS = np.array([complex(math.cos(angle), -math.sin(angle)) for angle in _ANGLES])
+_REVERSED = np.array([int(f"{i:010b}"[::-1], 2) for i in range(BINS)])
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -38,26 +42,19 @@ def phase_steps(counts, points, fractions, column_rad, sums):
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def spectrum(values, parts):
-    """parts (B,) complex128: the discrete Fourier transform of values (L,) complex128, L <= B, with zeros to B = 2^m.
+    """parts (BINS,) complex128: the discrete Fourier transform of values (L,) complex128, L <= BINS, with zeros behind.
 
     Cooley and Tukey, An algorithm for the machine calculation of complex Fourier series, 1965. A frame needs one of a
     thousand bins: the way to a library's and back takes longer.
     """
     n = len(parts)
     for i in range(n):
-        reverse, bit = 0, 1
-        while bit < n:
-            reverse = 2 * reverse + (1 if i & bit else 0)
-            bit *= 2
-        parts[i] = values[reverse] if reverse < len(values) else 0.0
-    turns = np.empty(n // 2, np.complex128)
-    for i in range(n // 2):
-        turns[i] = complex(math.cos(2.0 * math.pi * i / n), -math.sin(2.0 * math.pi * i / n))
+        parts[i] = values[_REVERSED[i]] if _REVERSED[i] < len(values) else 0.0
     half = 1
     while half < n:
         for first in range(0, n, 2 * half):
             for k in range(half):
-                a, b = parts[first + k], parts[first + half + k] * turns[k * (n // (2 * half))]
+                a, b = parts[first + k], parts[first + half + k] * _TURNS[k * (n // (2 * half))]
                 parts[first + k], parts[first + half + k] = a + b, a - b
         half *= 2
 

@@ -116,7 +116,7 @@ def code_points(state, data, model, counts, scales, lines, points, now):
     return True
 
 
-@borrowing
+@inlined
 def _enter_ring(now):
     for k in range(3):
         now[_ERROR + k] = now[_USUAL + k]
@@ -124,7 +124,7 @@ def _enter_ring(now):
     now[_GAP], now[_U], now[_U_BEFORE], now[_REST], now[_RATIO] = 0, 0, 0, 64, 1 << 12
 
 
-@borrowing
+@inlined
 def _code_column(state, data, model, scales, points, i, now):
     """As columns since the last point: thinning leaves a certain distance in metres, so the range says how many."""
     n, under = now[_N], now[_UNDER]
@@ -144,7 +144,7 @@ def _code_column(state, data, model, scales, points, i, now):
     return column
 
 
-@borrowing
+@inlined
 def _code_late(state, data, model, points, i, now):
     """The correction of the time: jitter, and where a scan begins and ends the same jump in every ring."""
     column = points[COLUMN, i]
@@ -162,7 +162,7 @@ def _code_late(state, data, model, points, i, now):
     return abs(late) <= _LATEST
 
 
-@borrowing
+@inlined
 def _look_below(points, column, now):
     """Range, class and intensity of the ring below at a column: of the nearest point, or between two on one surface."""
     end, under = now[_BELOW_END], now[_UNDER]
@@ -186,7 +186,7 @@ def _look_below(points, column, now):
     now[_NEAR], now[_NEAR_CLASS], now[_NEAR_SHADE] = u, points[CLASS, nearest], points[INTENSITY, nearest]
 
 
-@borrowing
+@inlined
 def _code_along(state, data, model, points, i, now):
     """The range. Three guesses, weighted by how well each has done lately: the last point; the straight continuation
     of the last two; the ring below here, times the ratio that held at the last point."""
@@ -225,14 +225,14 @@ def _weight(error):
     return np.int64(_WEIGHT[(error >> 2) & 1023])
 
 
-@borrowing
+@inlined
 def _judge(now, guess, error):
     """The running error of a guess, in sixteenths of a step."""
     e = now[_ERROR + guess]
     now[_ERROR + guess] = min(e + (((abs(error) << 4) - e) >> 2), 4095)
 
 
-@borrowing
+@inlined
 def _code_class(state, data, model, points, i, now):
     """1 for a corner. Its range is not what was expected, and below it is another."""
     n, before = now[_N], now[_BEFORE]
@@ -243,7 +243,7 @@ def _code_class(state, data, model, points, i, now):
     points[CLASS, i] = code_flag(state, data, model, block(a, b, c, _CORNER), np.int64(points[CLASS, i]))
 
 
-@borrowing
+@inlined
 def _code_across(state, data, model, scales, points, i, now):
     """The azimuth within the column. Beams stand on a lattice that drifts through the columns; its phase is narrowed
     to what the coded points allow. Without a lattice the middle of the column is expected."""
@@ -266,7 +266,7 @@ def _code_across(state, data, model, scales, points, i, now):
         now[_PHASE_START], now[_COLUMN_START] = now[_PHASE], points[COLUMN, i]
 
 
-@borrowing
+@inlined
 def _advance(column, scales, now):
     """The phase since the last point; at the start of a ring, since the start of the ring before."""
     if now[_N] == 0:
@@ -279,7 +279,7 @@ def _advance(column, scales, now):
     now[_PHASE] = ((phase + (TURN >> 1)) & (TURN - 1)) - (TURN >> 1)
 
 
-@borrowing
+@inlined
 def _code_up(state, data, model, line, points, i, now):
     """The elevation: a line in the range, which is what a beam that does not start in the origin looks like."""
     u = now[_U]
@@ -293,7 +293,7 @@ def _code_up(state, data, model, line, points, i, now):
     points[UP, i] = min(max(expected + rest, -LARGEST - 1), LARGEST + 1)
 
 
-@borrowing
+@inlined
 def _code_shade(state, data, model, points, i, now):
     """The intensity, 0 to 15; False when it is not."""
     shade, near = np.int64(points[INTENSITY, i - 1]) if now[_N] > 0 else np.int64(8), now[_NEAR_SHADE]

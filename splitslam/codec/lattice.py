@@ -9,7 +9,6 @@ from splitslam.codec import _lattice_kernels as kernels
 from splitslam.codec._point_kernels import TURN
 
 _LONGEST = 256  # columns between two points that are compared
-_BINS = 1024
 _COHERENT = 0.45
 
 
@@ -21,7 +20,7 @@ def find_drift(
     fractions (N,): azimuth within the column, rad. A firing every 0.199 degrees in columns of 0.2 degrees moves by
     -0.005 columns a column; whole columns do not show. It is the frequency at which steps between neighbours add up.
     """
-    sums, parts = np.zeros(_LONGEST, np.complex128), np.empty(_BINS, np.complex128)
+    sums, parts = np.zeros(_LONGEST, np.complex128), np.empty(kernels.BINS, np.complex128)
     pairs = kernels.phase_steps(counts, points, fractions, 2.0 * np.pi / columns, sums)
     if pairs == 0:
         return None

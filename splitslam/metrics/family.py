@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+from prometheus_client import CollectorRegistry, Counter, Gauge
 
 from splitslam.metrics.definition import OTHER, Kind, Metric
+from splitslam.metrics.histogram import Observed, ObservedFamily
 
 
 class Family:
@@ -19,16 +20,16 @@ class Family:
 
     def __init__(self, metric: Metric, registry: CollectorRegistry, **given: Iterable[str]) -> None:
         self.metric = metric
-        parent = _parent(metric, registry)
         series = metric.series({name: tuple(values) for name, values in given.items()})
-        self._series: dict[tuple[str, ...], Any] = {
-            values: parent.labels(*values) if values else parent for values in series
-        }
+        self._series = _series(metric, registry, series)
         self._open = tuple(label.open for label in metric.labels)
         self._known = tuple({values[i] for values in series} for i in range(len(metric.labels)))
 
     def of(self, *values: str) -> Any:
-        """The series with these label values: prometheus_client's. KeyError for values that a closed label lacks."""
+        """The series with these label values: prometheus_client's, or Observed.
+
+        KeyError for values that a closed label lacks.
+        """
         found = self._series.get(values)
         return self._series[self._with_other(values)] if found is None else found
 
@@ -49,11 +50,16 @@ class Family:
 
     def values(self) -> dict[tuple[str, ...], float]:
         """Every series of a counter or gauge by its label values."""
-        return {labels: series._value.get() for labels, series in self._series.items()}
+        return {labels: self.of(*labels)._value.get() for labels in self._series}
 
 
-def _parent(metric: Metric, registry: CollectorRegistry) -> Counter | Gauge | Histogram:
-    names = metric.label_names
+def _series(
+    metric: Metric, registry: CollectorRegistry, series: list[tuple[str, ...]]
+) -> dict[tuple[str, ...], Counter | Gauge | Observed]:
     if metric.kind == Kind.HISTOGRAM:
-        return Histogram(metric.name, metric.text, names, buckets=metric.buckets, registry=registry)
-    return (Counter if metric.kind == Kind.COUNTER else Gauge)(metric.name, metric.text, names, registry=registry)
+        family = ObservedFamily(metric, series)
+        registry.register(family)
+        return dict(family.series)
+    made = Counter if metric.kind == Kind.COUNTER else Gauge
+    parent = made(metric.name, metric.text, metric.label_names, registry=registry)
+    return {values: parent.labels(*values) if values else parent for values in series}

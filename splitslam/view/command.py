@@ -71,7 +71,9 @@ def _view_session(options: ViewOptions) -> None:
 def _view_service(options: ViewOptions) -> None:
     connector = Connector(options.target, options.tls)
     with _recording(options, layout(AT_THE_START)) as (recording, server):
-        view = LiveView(Scene(recording, options.voxel_m, options.most_points), connector, _note, options.robot_id, options.site_id)
+        view = LiveView(
+            Scene(recording, options.voxel_m, options.most_points), connector, _note, options.robot_id, options.site_id
+        )
         going_on = _Until(options.seconds, server)
         try:
             view.run(going_on)

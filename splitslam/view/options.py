@@ -24,9 +24,9 @@ class ViewOptions:
     save: write a .rrd instead of showing it. web: show it in a browser (open_browser: and open one), else in Rerun's
     own window. port, web_port: of the data and of the page, on loopback; 0: any. memory: what is kept for who opens
     later, and by Rerun's window; beyond it the oldest goes. voxel_m: of the map as it is shown. points: of all maps
-    together at most, beyond it the voxels grow; 0: no bound; None: what a browser without a GPU draws ten times a second,
-    with `web`, else no bound. robot_id, site_id:
-    these alone; "": all. session_id: what is stored of this one, which need not run any more, instead of what comes.
+    together at most, beyond it the voxels grow; 0: no bound; None: with `web` what a browser without a GPU can draw,
+    else no bound. robot_id, site_id: these alone; "": all. session_id: what is stored of this one, which need not run
+    any more, instead of what comes.
     seconds: end after so long; None: when Ctrl-C or the window ends it.
     """
 

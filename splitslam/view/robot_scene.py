@@ -247,7 +247,7 @@ class RobotScene:
         self._log(stamp_ns, f"events{self._name}", rr.TextLog(text, level=level))
 
 
-def _ui(size: float) -> rr.Radius:
+def _ui(size: float) -> Any:
     """A radius in the page's points, whatever the distance."""
     return rr.Radius.ui_points(size)
 

@@ -49,12 +49,13 @@ def test_a_long_gap_between_knots_does_not_make_a_huge_table():
 @pytest.mark.parametrize("seed", range(3))
 def test_deskew_points_is_the_affine_map_of_the_points_segment_in_whole_steps(seed: int):
     table = fixed_table(turning(imu_offsets(100), FAST_TURN_RADPS), np.empty((256, 28), np.int32))
-    points, t = far_points(60, 80.0, seed)
+    points, t = far_points(600, 80.0, seed)  # more than two blocks
     t[0], t[1] = 0, 100_000_000
     points[2] = [511.9, -511.9, 511.9]  # moved beyond what 24 bits hold
+    t[300:] = np.sort(t[300:])  # some in no order, some as a scan has them
     out = np.empty_like(points)
     words = table.words.astype(np.int64)
-    deskew_points(points, t, table.shift, table.words[:, 0], table.words[:, 4:].astype(np.float64), out)
+    deskew_points(points, t, table.shift, table.words, out)
     for p, ti, o in zip(points, t, out, strict=True):
         tick = (int(ti) + (1 << table.shift >> 1)) >> table.shift
         s = max(k for k in range(len(words)) if words[k, 0] <= tick)

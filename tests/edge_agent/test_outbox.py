@@ -22,6 +22,14 @@ def sent(outbox: Outbox) -> list[int]:
     return seqs
 
 
+def three_answered(outbox: Outbox, durable_seq: int) -> None:
+    """All are sent, 1 to 3 are answered."""
+    sent(outbox)
+    for seq in (1, 2, 3):
+        outbox.answer(seq)
+    outbox.mark_durable(durable_seq)
+
+
 def test_no_more_frames_are_in_flight_than_the_window_allows():
     outbox = filled(5, window=2)
     assert sent(outbox) == [1, 2]
@@ -45,20 +53,14 @@ def test_a_frame_is_kept_until_it_is_both_durable_and_answered():
 
 def test_after_a_break_what_the_server_has_not_applied_or_not_answered_goes_again_in_order():
     outbox = filled(6)
-    sent(outbox)
-    for seq in (1, 2, 3):
-        outbox.answer(seq)
-    outbox.mark_durable(1)
+    three_answered(outbox, durable_seq=1)
     assert outbox.rewind(applied_seq=4, durable_seq=1)
     assert sent(outbox) == [4, 5, 6]  # 4 was applied, but its answer got lost
 
 
 def test_after_the_loss_of_the_server_answered_frames_that_were_not_durable_go_again():
     outbox = filled(6)
-    sent(outbox)
-    for seq in (1, 2, 3):
-        outbox.answer(seq)
-    outbox.mark_durable(1)
+    three_answered(outbox, durable_seq=1)
     assert outbox.rewind(applied_seq=1, durable_seq=1)
     assert sent(outbox) == [2, 3, 4, 5, 6]
     assert outbox.answer(2) is None  # handed on before
@@ -67,10 +69,7 @@ def test_after_the_loss_of_the_server_answered_frames_that_were_not_durable_go_a
 
 def test_a_server_that_lost_durable_frames_is_found_out():
     outbox = filled(4)
-    sent(outbox)
-    for seq in (1, 2, 3):
-        outbox.answer(seq)
-    outbox.mark_durable(3)
+    three_answered(outbox, durable_seq=3)
     assert not outbox.rewind(applied_seq=2, durable_seq=2)
 
 

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from edge_agent import _text_kernels as text_kernels
-from edge_agent.outputs import Outputs, rotate_quats, tum_line
+from edge_agent.outputs import Outputs, tum_line
 from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
 from splitslam.errors import InputError
 from splitslam.wire import types_pb2 as types
-from tests.tolerances import SE3_ROUND_TRIP_M
 
 
 def reply(covariance: np.ndarray | None = None, state: int = types.TRACKING_STATE_TRACKING) -> OdometryReply:
@@ -84,11 +83,21 @@ def test_imu_lines_are_the_odom_poses_moved_by_t_map_odom(tmp_path: Path):
         np.testing.assert_allclose(se3.from_quat(row[1:4], row[4:]), T_map_odom @ T, atol=1e-8)
 
 
-def test_quaternion_rows_multiply_as_rotations_do():
+def test_lines_of_moved_poses_say_what_the_poses_say():
     rng = np.random.default_rng(2)
-    A, B = se3.so3_exp(rng.normal(size=3)), se3.so3_exp(rng.normal(size=3))
-    product = rotate_quats(se3.quat_from_matrix(A), se3.quat_from_matrix(B)[None])[0]
-    np.testing.assert_allclose(se3.matrix_from_quat(product), A @ B, atol=SE3_ROUND_TRIP_M)
+    T_map_odom, T_odom_lidar = se3.exp(rng.normal(size=6)), [se3.exp(rng.normal(size=6)) for _ in range(20)]
+    stamps_ns = np.arange(20) * 2_000_000
+    positions_m = np.array([T[:3, 3] for T in T_odom_lidar])
+    quats_xyzw = np.array([se3.quat_from_matrix(T[:3, :3]) for T in T_odom_lidar])
+    text = np.empty(text_kernels.LONGEST_LINE * 20, np.uint8)
+    size = text_kernels.moved_lines(stamps_ns, positions_m, quats_xyzw, T_map_odom, text)
+    lines = bytes(text[:size]).decode().splitlines(keepends=True)
+    assert len(lines) == 20
+    for line, stamp_ns, T in zip(lines, stamps_ns, T_odom_lidar, strict=True):
+        stamp, *pose = line.split()
+        assert stamp == f"0.{stamp_ns:09d}"
+        got = se3.from_quat(np.array(pose[:3], float), np.array(pose[3:], float))
+        np.testing.assert_allclose(got, T_map_odom @ T, atol=1e-8)
 
 
 def test_the_covariance_of_an_answer_can_be_read_back(tmp_path: Path):

@@ -74,6 +74,15 @@ def wait_until(condition) -> None:
         time.sleep(0.02)
 
 
+def of_before(folder: Path, clock: dict[str, float], frames: int) -> Agent:
+    """An agent that has died with so many frames unsent, so long ago that its run is not gone on with."""
+    agent = Agent(folder)
+    agent.make(1, frames)
+    agent.die()
+    clock["s"] += 31.0
+    return agent
+
+
 def test_an_agent_that_restarts_without_a_network_knows_how_far_its_run_has_come_and_replays_it_later(tmp_path: Path):
     with FakeService() as service:
         first = Agent(tmp_path, service.address).connect()
@@ -143,10 +152,7 @@ def test_a_run_that_does_not_go_on_is_sent_and_finished_beside_the_new_one(
 
 def test_leftovers_that_are_interrupted_go_on_at_the_next_start(tmp_path: Path, clock: dict[str, float]):
     Agent(tmp_path).die()  # made no frame: nothing of it stays
-    first = Agent(tmp_path)
-    first.make(1, 40)
-    first.die()
-    clock["s"] += 31.0
+    of_before(tmp_path, clock, frames=40)
     with FakeService(answer_delay_s=0.05) as service:
         second = Agent(tmp_path, service.address).connect()
         wait_until(lambda: len(service.applied) > 5)
@@ -165,10 +171,7 @@ def test_leftovers_that_are_interrupted_go_on_at_the_next_start(tmp_path: Path, 
 def test_a_run_that_the_service_has_finished_without_its_bye_is_set_aside_and_counted(
     tmp_path: Path, clock: dict[str, float]
 ):
-    first = Agent(tmp_path)
-    first.make(1, 7)
-    first.die()
-    clock["s"] += 31.0
+    first = of_before(tmp_path, clock, frames=7)
     with FakeService(finished=True) as service:
         second = Agent(tmp_path, service.address)
         assert second.store.leftovers is not None
@@ -218,10 +221,7 @@ def test_when_the_live_session_is_over_its_frames_are_set_aside_and_the_next_sta
 
 
 def test_what_the_service_may_take_another_day_stays(tmp_path: Path, clock: dict[str, float]):
-    first = Agent(tmp_path)
-    first.make(1, 7)
-    first.die()
-    clock["s"] += 31.0
+    first = of_before(tmp_path, clock, frames=7)
     refused = pb.Refused(reason=pb.REFUSED_REASON_VERSION, detail="codec version 2: this service decodes 1")
     with FakeService(hello_replies=[pb.StreamResponse(refused=refused)]) as service:
         second = Agent(tmp_path, service.address)
@@ -283,10 +283,7 @@ def test_the_state_file_is_written_over_in_place(tmp_path: Path, clock: dict[str
 def test_leftovers_take_a_share_of_a_limited_uplink_and_live_frames_leave_it_to_them(
     tmp_path: Path, clock: dict[str, float]
 ):
-    first = Agent(tmp_path)
-    first.make(1, 3)
-    first.die()
-    clock["s"] += 31.0
+    of_before(tmp_path, clock, frames=3)
     values = {"robot": "r", "source": {"recording": "r"}, "state_dir": str(tmp_path), "uplink": {"max_kbps": 100}}
     config = validate(AgentConfig, values, "test")
     store = RunStore(config, hello(), EdgeMetrics())

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from edge_agent.sources.live.sensor_clock import SensorClock
 from edge_agent.sources.live.mip import MipFeed
 from edge_agent.sources.live.nmea import NmeaFeed
+from edge_agent.sources.live.sensor_clock import SensorClock
 from edge_agent.sources.live.velodyne import PositionFeed, VelodyneFeed
 from edge_agent.sources.source import Counts
 from splitslam.errors import InputError

@@ -43,7 +43,9 @@ def drive(sensors: Sequence[MadeSensor], seconds: float, choice: str = "auto") -
     """All sensors send by the clock; what they send gets its stamp in the run."""
     waits_for = [sensor.name for sensor in sensors if sensor.name != "gnss"]
     clocks, chance = RunClock(choice, 0.05, waits_for), random.Random(5)  # pyright: ignore[reportArgumentType]
-    sent = sorted((k / sensor.rate_hz, n) for n, sensor in enumerate(sensors) for k in range(int(seconds * sensor.rate_hz)))
+    sent = sorted(
+        (k / sensor.rate_hz, n) for n, sensor in enumerate(sensors) for k in range(int(seconds * sensor.rate_hz))
+    )
     for true_s, n in sent:
         sensor = sensors[n]
         clock, (ahead_s, base) = clocks.clock(sensor.name), sensor.at(true_s)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.mip import MipFeed
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.source import Counts
 from splitslam.scan import ImuSamples
 from tests.live.made import mip_packet, mip_sample, pieces

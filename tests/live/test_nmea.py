@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.nmea import NmeaFeed, valid_rmc_ns
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from splitslam.scan import GnssFix
 from tests.live.made import gga, gst, nmea, rmc
 

@@ -180,7 +180,11 @@ def test_raw_scans_of_a_live_run_give_the_same_scans_again(tmp_path: Path):
     ("sections", "settings", "line"),
     [
         ({"lidar": {"model": "generic"}}, {}, "lidar.model: generic is not read live; expected one of vlp16"),
-        ({"lidar": {"model": "hdl64"}}, {}, "lidar.model: hdl64 is not read live; expected one of vlp16, hdl32, ouster"),
+        (
+            {"lidar": {"model": "hdl64"}},
+            {},
+            "lidar.model: hdl64 is not read live; expected one of vlp16, hdl32, ouster",
+        ),
         ({"lidar": {"model": "ouster"}}, {}, "lidar.metadata: must be given"),
         ({}, {"imu": {"serial": {"device": "/dev/null"}}}, "source.live.imu: the robot file says that there is none"),
         ({}, {"gnss": {"tcp": {"host": "::1", "port": 9}}}, "source.live.gnss: the robot file says"),

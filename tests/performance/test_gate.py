@@ -19,7 +19,7 @@ BOUNDS = load_bounds()
 COVERED = {
     "projection": "edge_agent.features._projection_kernels.",
     "deskew": "edge_agent.deskew._kernels.",
-    "features": "edge_agent.features._kernels.",
+    "features": "edge_agent.features._thinning_kernels.",
     "encoding": "splitslam.codec.",
     "decoding": "decode:splitslam.codec.",
     "registration": "splitslam.registration._kernels.",

@@ -38,7 +38,16 @@ def environment() -> dict[str, str]:
 
 def _install(folder: Path) -> str | None:
     """Why it cannot be, or None. Without what wheels need only to be built."""
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--only-binary=:all:", "--no-binary=empy"]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--only-binary=:all:",
+        "--no-binary=empy",
+    ]
     command += ["--disable-pip-version-check", "--ignore-installed", "--prefix", str(folder), "-r", str(WHEELS)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=_FETCH_S)
     if done.returncode:

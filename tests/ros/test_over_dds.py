@@ -7,45 +7,19 @@ import os
 import sys
 from pathlib import Path
 
-import numpy as np
-
-from splitslam import se3
-from tests import tolerances as bars
 from tests.ros.dds import DOMAIN, cyclonedds_uri
-from tests.ros.heard import Heard
+from tests.ros.first_nine_seconds import SECONDS, check, robot_file
 from tests.ros.live_run import live_run
-
-SECONDS = 9.0
-SCANS = 89  # of yard1 within that time
-T_BODY_LIDAR = se3.compose(se3.so3_exp(np.array([0.0, 0.1, 0.3])), np.array([0.2, 0.1, 0.5]))
 
 
 def test_yard1_over_dds_loses_nothing_is_as_good_as_from_the_file_and_comes_out_as_rep_105_has_it(
     shared_data: Path, tmp_path: Path
 ):
-    folder = tmp_path
     bag = shared_data / "yard1" / "yard1.bag"
-    robot = folder / "robot.yaml"
-    robot.write_text(bag.with_suffix(".yaml").read_text() + f"T_body_lidar: {T_BODY_LIDAR.tolist()}\n")
     graph = {"via": "cyclonedds", "domain_id": DOMAIN}
-    agent = {"robot": str(robot), "source": {"ros2": {**graph, "end_after_s": 1.5}}, "ros": {"rate_hz": 50}}
+    source = {"ros2": {**graph, "end_after_s": 1.5}}
+    agent = {"robot": str(robot_file(tmp_path, bag)), "source": source, "ros": {"rate_hz": 50}}
     player = [sys.executable, "-m", "tests.ros.play_dds", str(bag), str(SECONDS), str(DOMAIN)]
     listener = [sys.executable, "-m", "tests.ros.listen", "ros2", json.dumps(graph)]
-    environment = os.environ | {"CYCLONEDDS_URI": cyclonedds_uri()}
-    run = live_run(folder, agent, player, listener, environment)
-    heard = Heard.read(run.heard)
-
-    # nothing is lost on the way
-    scans = json.loads(run.played)["/velodyne_packets"]
-    assert scans >= SCANS
-    assert run.report["scans"] == {"read": scans, "sent": scans, "mapped": scans, "dropped": 0}
-    assert {k: v for k, v in run.report["dropped_by_reason"].items() if v} == {}
-    # and it is mapped as well as from the file
-    assert run.evaluation(shared_data / "yard1" / "yard1.tum").ate_m <= bars.LIVE_ROS_ATE_M
-    # what a second process has heard
-    heard.check_tree()
-    heard.check_odometry()
-    heard.check_place(run.out, T_BODY_LIDAR)
-    said = [(message["message"], message["level"]) for message in heard.diagnostics]
-    assert ("tracking", 0) in said
-    assert said[-1] == ("stopped", 1)
+    run = live_run(tmp_path, agent, player, listener, os.environ | {"CYCLONEDDS_URI": cyclonedds_uri()})
+    check(run, json.loads(run.played)["/velodyne_packets"], bag.with_suffix(".tum"))

@@ -1,4 +1,4 @@
-"""ROS 2 by rclpy and Fast DDS, as PyPI's wheels have them, in a process of its own: their libraries come by its paths."""
+"""ROS 2 by rclpy and Fast DDS, of PyPI's wheels, in a process of its own: their libraries come by its environment."""
 
 from __future__ import annotations
 

@@ -66,9 +66,7 @@ def test_the_graphs_clock_is_what_the_simulator_says_when_it_says_it(clock: list
         graph.close()
 
 
-def test_an_agent_in_simulated_time_stamps_what_it_says_of_itself_by_it(
-    shared_data: Path, clock: list[int]
-):
+def test_an_agent_in_simulated_time_stamps_what_it_says_of_itself_by_it(shared_data: Path, clock: list[int]):
     heard: list[Any] = []
     graph = DdsGraph(Ros2Settings(domain_id=DOMAIN))
     graph.subscribe("/diagnostics", DIAGNOSTICS, RELIABLE, lambda raw: heard.append(CODEC.decode(raw, DIAGNOSTICS)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 ALL = pytest.mark.parametrize("name", DRIVES)
 
 
+@cache
 def _drive(name: str) -> tuple[DriveSpec, World, Trajectory]:
     spec = DRIVES[name]
     world = make_world(spec.world)

@@ -49,7 +49,9 @@ class Logged:
 
     def map_of(self, robot: str) -> NDArray[np.float64]:
         """(N, 3), frame `map`: all points of a robot's map, as they lie at last."""
-        lying = [_placed(self.of(path, "Transform3D"), points(self.of(path, "Points3D")[-1])) for path in self._map(robot)]
+        lying = [
+            _placed(self.of(path, "Transform3D"), points(self.of(path, "Points3D")[-1])) for path in self._map(robot)
+        ]
         return np.concatenate([np.zeros((0, 3)), *lying])
 
     def _map(self, robot: str) -> list[str]:

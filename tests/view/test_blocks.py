@@ -1,4 +1,4 @@
-"""Keyframes in blocks: a long drive is few entities, and each point and each piece of the way is drawn once, in place."""
+"""Keyframes in blocks: a long drive is few entities, and each point and piece of the way is drawn once, in place."""
 
 from __future__ import annotations
 

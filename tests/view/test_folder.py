@@ -55,5 +55,7 @@ def test_a_folder_of_an_older_release_is_shown_without_its_keyframes(tmp_path: P
         (tmp_path / name).unlink()
     logged = Logged()
     show_folder(read_folder(tmp_path), Scene(logged, voxel_m=0.0))  # type: ignore[arg-type]
-    np.testing.assert_allclose(points(logged.of("world/rover-7/map/newest/0", "Points3D")[0]), made_run.walls(), atol=VIEW_M)
+    np.testing.assert_allclose(
+        points(logged.of("world/rover-7/map/newest/0", "Points3D")[0]), made_run.walls(), atol=VIEW_M
+    )
     assert logged.paths("world/rover-7/trajectory/")

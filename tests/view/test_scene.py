@@ -73,7 +73,10 @@ def test_a_long_way_costs_no_more_a_scan_than_a_short_one_and_has_no_gaps() -> N
     sizes = [len(entry.fields["strips"][0]) for entry in logged.of("world/r/online/newest")]
     assert max(sizes) <= LONGEST + 1
     assert len(logged.of("world/r/online/0")) == 2, "once for each piece that is full"
-    whole = [*logged.of("world/r/online/0")[-1].fields["strips"], logged.of("world/r/online/newest")[-1].fields["strips"][0]]
+    whole = [
+        *logged.of("world/r/online/0")[-1].fields["strips"],
+        logged.of("world/r/online/newest")[-1].fields["strips"][0],
+    ]
     assert all(before[-1] == after[0] for before, after in itertools.pairwise(whole))
     assert [len(piece) for piece in logged.way_of("r")[:2]] == [LONGEST + 1] * 2
 

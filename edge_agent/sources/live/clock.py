@@ -119,7 +119,7 @@ class RunClock:
             clock.undecided = clock.undecided or (bool(clock.chosen) and clock.locked)
 
     def _ahead(self) -> int:
-        """By how much our own clock is ahead of the run's time; as it was at last, when the reference's lock has gone."""
+        """By how much our own clock is ahead of the run's time; as it was at last when the reference's lock is gone."""
         reference = self._reference
         if reference is not None and reference.base is self._base and reference.lateness.settled:
             self._ahead_ns = reference.lateness.offset_ns - self._common_ns

@@ -15,8 +15,8 @@ from itertools import accumulate, groupby
 
 import numpy as np
 
-from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.smoothing import SmoothedArrivals
 from edge_agent.sources.source import Counts
 from splitslam.scan import ImuSamples

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamError, NMEATypeError
 
-from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from splitslam.scan import GnssFix
 
 _DAY_NS = 86_400_000_000_000

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
 from edge_agent.sources.live.frames import Columns, Frame, Frames
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.raw import Gate, RawScan
 from edge_agent.sources.source import Counts
 from splitslam.config import read_text

@@ -35,7 +35,7 @@ class SensorClock:
     much, told by the sensor's own even period. steady: the motion is computed from this stream, so that afterwards its
     offset only drifts to where the new lock has it. Without, its messages wait until they are placed anew.
 
-    age: counts on whenever messages of before cannot be placed any more. undecided: the lock has changed since `chosen`.
+    age: counts on whenever messages of before cannot be placed any more. undecided: the lock has changed since then.
     changes: how often a lock has come or gone while the run went on.
     """
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_agent.sources.live import nmea
-from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.feed import Reading
+from edge_agent.sources.live.sensor_clock import SensorClock, TimeBase
 from edge_agent.sources.live.turns import PACKET_BYTES, Packet, Turns, unwrapped
 from edge_agent.sources.raw import Gate
 from edge_agent.sources.source import Counts

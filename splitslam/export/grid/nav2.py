@@ -80,7 +80,7 @@ def write_grid(
                     canvas.put(evidence.states(), r, c)
                 made(done, len(parts))
     x, y = (low * cell_m).tolist()
-    yaml.write_text(_YAML.format(image=image_name, resolution=cell_m, x=x, y=y), encoding="utf-8")
+    yaml.write_text(_YAML.format(image=image_name, resolution=cell_m, x=round(x, 6), y=round(y, 6)), encoding="utf-8")
     return Grid(rows, columns, canvas.free, canvas.occupied)
 
 
