@@ -68,11 +68,16 @@ class Identity(Model):
 
 
 class Lidar(Model):
-    """One spinning LiDAR. Elevations are indexed by ring number; boxes are cut out in frame `body`."""
+    """One spinning LiDAR. Elevations are indexed by ring number; boxes are cut out in frame `body`.
+
+    point_times: what the times of points are worth. `given`: taken as they are; `mirrored`: they run against the sense
+    in which the sensor turns, from the scan's last firing to its first; `one_moment`: the points are deskewed already.
+    """
 
     model: Literal["vlp16", "hdl32", "hdl64", "ouster", "hesai", "generic"] = "generic"
     topic: str = AUTO
     stamp: Literal["start", "end"] = "start"
+    point_times: Literal["given", "mirrored", "one_moment"] = "given"
     rings: Annotated[int, pydantic.Field(ge=1, le=256)] = 16
     columns: Annotated[int, pydantic.Field(ge=16, le=8192)] = 1800
     rate_hz: Positive = 10.0
@@ -229,16 +234,17 @@ def robot_to_yaml(robot: Robot) -> str:
 
 
 def robot_for_service(robot: Robot) -> str:
-    """The same without `wheels`, which only the edge uses: a map service of 0.1.0 refuses the section as unknown."""
-    return _as_yaml(robot, _written(robot) - {"wheels"})
+    """The same without what only the edge uses: a map service of 0.1.0 refuses `wheels` as unknown, one of 0.2.0
+    `lidar.point_times`."""
+    return _as_yaml(robot, _written(robot) - {"wheels"}, {"lidar": {"point_times"}})
 
 
 def _written(robot: Robot) -> set[str]:
     return set(Robot.model_fields) - (set() if robot.imu_placed else {"T_lidar_imu"})
 
 
-def _as_yaml(robot: Robot, sections: set[str]) -> str:
-    data = robot.model_dump(mode="json", include=sections)
+def _as_yaml(robot: Robot, sections: set[str], without: dict[str, set[str]] | None = None) -> str:
+    data = robot.model_dump(mode="json", include=sections, exclude=without)
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
 
 

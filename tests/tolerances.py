@@ -102,6 +102,7 @@ GNSS_JUMP_MOVES_MAP_M = 0.3
 # `splitslam check` on made motions: 0.3 mrad and 5 mm a pose, an IMU of 0.1 deg/s and 0.05 m/s2 a sample.
 CHECK_ROTATION_DEG = 0.5
 CHECK_DELAY_S = 0.0015
+CHECK_POINT_TIMES = 0.1  # of the share; one sigma on KITTI, 16 rings, is 0.07
 # Squared error in sigmas, per axis, that no seed may exceed (three sigma).
 CHECK_NEES = 9.0
 # A smooth turn integrated by the trapezoidal rule, at 200 Hz and at 10 Hz.

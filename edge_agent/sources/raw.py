@@ -36,7 +36,7 @@ class Gate:
     """Keeps the points a scan may use and counts the others by reason in `left_out`."""
 
     def __init__(self, robot: Robot, left_out: Counter[str]) -> None:
-        self._rings = robot.lidar.rings
+        self._rings, self._point_times = robot.lidar.rings, robot.lidar.point_times
         self._min_sq = np.float32(robot.lidar.min_range_m**2)
         self._max_sq = np.float32(robot.lidar.max_range_m**2)
         self._boxes = [np.array(box, dtype=np.float32).reshape(2, 3) for box in robot.lidar.crop_boxes_body]
@@ -64,13 +64,18 @@ class Gate:
             keep = self._crop(p, keep)
         if not keep.any():
             raise DataError("nan" if len(p) and n_finite == 0 else "empty")
+        t_ns, index = raw.t_offset_ns, np.flatnonzero(keep)
+        if self._point_times == "mirrored":  # the order of the points is that of time, so that turns round as well
+            t_ns, index = raw.end_ns - raw.stamp_ns - t_ns, index[::-1]
+        elif self._point_times == "one_moment":
+            t_ns = np.zeros_like(t_ns)
         return Scan(
             stamp_ns=raw.stamp_ns,
             end_ns=raw.end_ns,
-            points_lidar=np.ascontiguousarray(p[keep]),
-            t_offset_ns=raw.t_offset_ns[keep].astype(np.int32),
-            ring=raw.ring[keep].astype(np.uint8),
-            intensity=raw.intensity[keep],
+            points_lidar=np.ascontiguousarray(p[index]),
+            t_offset_ns=t_ns[index].astype(np.int32),
+            ring=raw.ring[index].astype(np.uint8),
+            intensity=raw.intensity[index],
             read_points=n_finite - n_zero,
             native_bytes=raw.native_bytes,
         )

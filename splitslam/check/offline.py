@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.sources import Recording, beams, open_recording
-from splitslam.check import layout, streams
+from splitslam.check import layout, point_times, streams
 from splitslam.check.findings import Finding, note
 from splitslam.check.imu_verdict import ImuVerdict, judge
 from splitslam.check.layout import Layout, LayoutProbe
 from splitslam.check.motion import LidarMotion
 from splitslam.check.odometry import LidarOdometry
+from splitslam.check.point_times import PointTimeProbe, TimeShare
 from splitslam.check.repair import repaired
 from splitslam.check.streams import StreamStatistics
 from splitslam.check.table_one import TableOne, table_one
@@ -32,7 +33,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """Everything a check found. streams: by section of the robot file. imu, table: None when there is nothing to say.
+    """Everything a check found. streams: by section of the robot file. point_times, imu, table: None where unknown.
 
     recorded_s: length of the part that was looked at.
     """
@@ -43,6 +44,7 @@ class Report:
     findings: tuple[Finding, ...]
     streams: dict[str, StreamStatistics]
     layout: Layout
+    point_times: TimeShare | None
     imu: ImuVerdict | None
     table: TableOne | None
 
@@ -79,15 +81,18 @@ def check_recording(
     """
     robot, found = repaired(path, load_robot(robot_path))
     with open_recording(path, robot) as recording:
-        heard, probe, odometry = _Heard(), LayoutProbe(robot.lidar), LidarOdometry(robot, recording.beam_elevations_rad)
-        _listen(recording, seconds, heard, probe, odometry, progress)
+        heard, probes = _Heard(), (LayoutProbe(robot.lidar), PointTimeProbe())
+        odometry = LidarOdometry(robot, recording.beam_elevations_rad)
+        _listen(recording, seconds, heard, probes, odometry, progress)
     motion, more = _motion(odometry, len(heard.scan_ns))
     found += more
+    share = None if motion is None else probes[1].share(motion)
+    found += point_times.findings(share)
     found += _drops(recording)
     stats = _streams(robot, heard)
     found += [line for name, s in stats.items() for line in streams.findings(name, s, _stated_hz(robot, name))]
     counts = recording.counts
-    seen = probe.layout(counts.left_out["nan"] / max(counts.read_points + sum(counts.left_out.values()), 1))
+    seen = probes[0].layout(counts.left_out["nan"] / max(counts.read_points + sum(counts.left_out.values()), 1))
     known = beams.known_elevations_rad(robot.lidar)
     period_s = stats["lidar"].period_s
     found += layout.findings(seen, robot.lidar, period_s, known, counts.left_out, counts.read_points)
@@ -109,6 +114,7 @@ def check_recording(
         findings=tuple(found),
         streams=stats,
         layout=seen,
+        point_times=share,
         imu=verdict,
         table=None if motion is None else _table(motion, verdict, len(heard.scan_ns)),
     )
@@ -118,7 +124,7 @@ def _listen(
     recording: Recording,
     seconds: float,
     heard: _Heard,
-    probe: LayoutProbe,
+    probes: tuple[LayoutProbe, PointTimeProbe],
     odometry: LidarOdometry,
     progress: Callable[[int, int], None] | None,
 ) -> None:
@@ -133,7 +139,8 @@ def _listen(
             heard.imu_values.append(np.hstack([event.gyro_radps, event.accel_mps2]))
         elif isinstance(event, Scan):
             if len(heard.scan_ns) % _LOOK_EVERY == 0:
-                probe.add(event)
+                probes[0].add(event)
+            probes[1].add(event)
             heard.scan_ns.append(event.stamp_ns)
             odometry.add(event)
             if progress is not None:

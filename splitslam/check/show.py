@@ -26,6 +26,7 @@ def as_dict(report: Report) -> dict[str, Any]:
         "findings": [finding.as_dict() for finding in report.findings],
         "streams": {name: asdict(s) for name, s in report.streams.items()},
         "lidar": _layout(report),
+        "point_times": None if report.point_times is None else asdict(report.point_times),
         "imu": None if imu is None else {"gravity_mps2": imu.gravity_mps2, "up_lidar": _list(imu.up_lidar)},
         "T_lidar_imu": None if place is None else _rotation(place),
         "time_offset": None if place is None else _offset(place),
@@ -102,6 +103,8 @@ def _estimates(report: Report) -> Table:
     ranges = f"{seen.min_range_m:.2f} to {seen.max_range_m:.2f}"
     table.add_row("range m", ranges, f"{lidar.min_range_m:g} to {lidar.max_range_m:g}")
     table.add_row("points of a scan span ms", f"{seen.span_s * 1e3:.1f}", f"{1e3 / lidar.rate_hz:.1f}")
+    if (times := report.point_times) is not None:
+        table.add_row("points move by so much of their time", f"{times.share:.2f} +- {times.sigma:.2f}", "1")
     table.add_row("points that are NaN", f"{seen.nan_share:.0%}", "")
     if report.imu is not None:
         table.add_row("gravity m/s^2", f"{report.imu.gravity_mps2:.3f}", f"{report.robot.gravity_mps2:g}")

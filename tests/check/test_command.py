@@ -16,6 +16,7 @@ from tests import tolerances
 from tests.conftest import ROOT
 from tests.typed import typed
 
+MIRRORED = {"point_times": "mirrored"}
 Answer = tuple[int, dict[str, Any], str]
 
 
@@ -61,11 +62,19 @@ def test_yard1_has_no_problem_and_its_row_of_table_i(shared_data: Path) -> None:
     assert not _keys(answer) - documented - {"lidar", "imu", "gnss"}
 
 
-def test_a_car_that_moves_from_the_start_with_a_10_hz_imu_has_no_problem(shared_data: Path) -> None:
+def test_point_times_that_run_backwards_are_the_only_problem_of_a_car_with_a_10_hz_imu(shared_data: Path) -> None:
     recording = shared_data / "kitti_0005" / "kitti_0005_ring16.bag"
     code, answer, _ = check(recording, recording.with_suffix(".yaml"))
-    assert (code, problem_keys(answer)) == (0, [])
+    assert (code, problem_keys(answer)) == (1, ["lidar.point_times"])
+    assert answer["point_times"]["share"] == pytest.approx(-1.0, abs=3 * tolerances.CHECK_POINT_TIMES)
     assert answer["table_1"]["path_m"] == pytest.approx(71, abs=2)
+
+
+def test_the_same_car_has_no_problem_once_its_point_times_are_mirrored(shared_data: Path, tmp_path: Path) -> None:
+    recording = shared_data / "kitti_0005" / "kitti_0005_ring16.bag"
+    code, answer, _ = check(recording, changed(recording.with_suffix(".yaml"), tmp_path, lidar=MIRRORED))
+    assert (code, problem_keys(answer)) == (0, [])
+    assert answer["point_times"]["share"] == pytest.approx(1.0, abs=3 * tolerances.CHECK_POINT_TIMES)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -74,7 +83,7 @@ def test_a_mounting_off_by_five_degrees_is_found_in_the_car(axis: int, shared_da
     robot = recording.with_suffix(".yaml")
     T = np.array(yaml.safe_load(robot.read_text())["T_lidar_imu"])
     T[:3, :3] = se3.so3_exp(np.radians(5.0) * np.eye(3)[axis]) @ T[:3, :3]
-    code, answer, _ = check(recording, changed(robot, tmp_path, T_lidar_imu=T.tolist()))
+    code, answer, _ = check(recording, changed(robot, tmp_path, lidar=MIRRORED, T_lidar_imu=T.tolist()))
     assert (code, problem_keys(answer)) == (1, ["T_lidar_imu"])
 
 

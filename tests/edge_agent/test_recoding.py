@@ -72,3 +72,9 @@ def test_the_service_hears_nothing_of_wheels() -> None:
     said = robot_for_service(robot)
     assert "wheels" not in said
     assert robot_from_yaml(said) == robot.model_copy(update={"wheels": None})
+
+
+def test_the_service_hears_nothing_of_what_point_times_are_worth() -> None:
+    said = robot_for_service(robot_from_yaml("lidar: {point_times: mirrored}"))
+    assert "point_times" not in said
+    assert robot_from_yaml(said).lidar.point_times == "given"

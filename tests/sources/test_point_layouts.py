@@ -265,3 +265,23 @@ def test_a_scan_of_two_seconds_does_not_fit_and_is_dropped():
     )
     with pytest.raises(DataError, match="point_time"):
         Gate(robot(), Counter())(raw)
+
+
+def test_times_that_run_backwards_are_mirrored_with_the_points_and_stamps_stay(tmp_path):
+    points, fraction = velodyne()
+    bag = made.write_bag(tmp_path, made.ROS1, [made.cloud(points, made.T0_NS)])
+    (given,), (mirrored,) = scans_of(bag), scans_of(bag, "rings: 3, point_times: mirrored")
+    assert np.abs(mirrored.t_offset_ns[::-1] - (fraction.max() - fraction) * PERIOD_NS).max() <= 20
+    assert (mirrored.stamp_ns, mirrored.end_ns) == (given.stamp_ns, given.end_ns)
+    assert (mirrored.points_lidar[::-1] == given.points_lidar).all()  # in the order of time, as they were
+    assert (mirrored.ring[::-1] == given.ring).all()
+    assert (np.diff(mirrored.t_offset_ns) >= 0).all()
+
+
+def test_points_of_one_moment_all_have_the_time_of_the_scans_start(tmp_path):
+    points, _ = velodyne()
+    (scan,) = scans_of(
+        made.write_bag(tmp_path, made.ROS1, [made.cloud(points, made.T0_NS)]), "rings: 3, point_times: one_moment"
+    )
+    assert (scan.t_offset_ns == 0).all()
+    assert scan.end_ns > scan.stamp_ns
