@@ -22,7 +22,7 @@ from tests.conftest import ROOT
 PROGRAMS = {
     "splitslam": "splitslam.cli",
     "edge-agent": "edge_agent.__main__",
-    "map-service": "map_service.__main__",
+    "map-service": "map_service.command",
 }
 FENCE = re.compile(r"^```[a-z]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`([^`\n]+)`")
