@@ -51,7 +51,7 @@ class Descent:
 
 
 def of_a_room(again: bool = False, **others: int) -> Descent:
-    return Descent(*naive.room(np.random.default_rng(4), 6000, 0.01), 40, again, **others)
+    return Descent(*naive.room(np.random.default_rng(4), 6000, 0.01), 12, again, **others)
 
 
 @pytest.mark.parametrize("again", [False, True])
