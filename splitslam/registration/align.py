@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitslam import se3
 from splitslam.registration import _descent_kernels as descent
 from splitslam.registration import _equation_kernels as kernels
-from splitslam.registration._kernels import GEOMETRY, KEYFRAME, KIND
+from splitslam.registration._kernels import GEOMETRY
 from splitslam.registration.local_map import LocalMap, VoxelMap
 from splitslam.registration.settings import RegistrationSettings
 
@@ -112,11 +112,13 @@ class Registration:
         if seen_at != state[descent.ITERATIONS]:
             axes = _NO_AXES
         fit = _Fit.of(state)
-        information = H * self._trust(fit)
+        information, covariance = H * self._trust(fit), np.empty((6, 6))
+        if not kernels.invert(information, prediction.information, covariance):
+            raise np.linalg.LinAlgError("the information of a pose is not positive definite")
         return RegistrationResult(
             T_local_lidar=se3.orthonormalised(T),
             information=information,
-            covariance=np.asarray(np.linalg.inv(information + prediction.information), np.float64),
+            covariance=covariance,
             converged=end == descent.CONVERGED,
             iterations=int(state[descent.ITERATIONS]),
             matched=fit.matched,
@@ -220,8 +222,9 @@ def deskew_again(points_lidar: NDArray[Real], offsets_s: Array, delta_twist: Arr
 
 def _first_seen_by(*fits: Array) -> NDArray[np.int64]:
     """Quantiles of the keyframes that the matched voxels are from, by class (N, 16); empty without a match."""
-    first = np.concatenate([of[of[:, KIND] != 0.0, KEYFRAME] for of in fits])
+    first = np.empty(sum(map(len, fits)), np.int64)
+    first = first[: kernels.first_seen(*fits, first)]
     if not len(first):
-        return np.zeros(0, np.int64)
+        return first
     first.sort()
-    return first[np.rint(_QUANTILES * (len(first) - 1)).astype(np.int64)].astype(np.int64)
+    return first[np.rint(_QUANTILES * (len(first) - 1)).astype(np.int64)]
