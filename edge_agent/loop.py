@@ -272,15 +272,17 @@ class AgentLoop:
                 parts.metrics.drop(f"rejected_{answer.reply.rejected}")
             own = answer.reply.seq >= self._first_seq
             if own:  # the node has not seen the scans of an agent before
-                parts.imu.on_odometry(self._in_one_frame(answer.reply))
+                told = self._in_one_frame(answer.reply)
+                if told is not None:
+                    parts.imu.on_odometry(told)
                 self._answered_ns = answer.reply.stamp_ns
             parts.sink.on_answer(answer)
             if own and parts.check is not None:
                 parts.check.on_answer(answer)
         parts.metrics.state.set(self.state)
 
-    def _in_one_frame(self, reply: OdometryReply) -> OdometryReply:
-        """After an outage `odom` goes on from where the robot was: the difference is `map`'s."""
+    def _in_one_frame(self, reply: OdometryReply) -> OdometryReply | None:
+        """After an outage `odom` goes on from where the robot was: the difference is `map`'s. None: see Outages."""
         if self._parts.outages is None:
             return reply
         steady, correction = self._parts.outages.on_answer(reply)

@@ -4,8 +4,10 @@ The Imu node is given poses of one frame, `steady`, that never jumps. With the s
 service's odometry frame (inv(T_map_odom) @ T_map_lidar). In an outage the edge's odometry goes on in it, from the
 service's own poses of the last scans; where none has ever come that says where the robot is, from the first scan on,
 level: an agent that begins anew in the middle of a run may be looked for, and how it moves meanwhile must not be the
-IMU's word alone. When the service is back, its frame lies where the two disagree by the drift of the outage:
-T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing of it.
+IMU's word alone. Nor that of a robot which the service has lost: after some such answers the edge's odometry goes on
+from where the robot was carried to, with a map of its own. When the service is back, its frame lies where the two
+disagree by the drift of the outage: T_steady_server. `map` takes that difference, and the robot's `odom` knows nothing
+of it.
 """
 
 from __future__ import annotations
@@ -75,7 +77,9 @@ class Outages:
         self._T_map_steady = np.eye(4)  # when the outage began
         self._joined = 0  # answers that have said so, in this outage
         self._begun_ns = self._newest_ns = 0
-        self._anchored = True  # False: the service has not said yet where the robot is
+        self._anchored = True  # False: the service has not said yet, or not again, where the robot is
+        self._known = False  # the service has said once where the robot is
+        self._looked_for = 0  # answers in a row that look for a robot that was known
         self._state = UNANCHORED  # of the edge's own poses: that, or what a service says that looks for the robot
 
     # --- frames -----------------------------------------------------------------------------------------------
@@ -118,7 +122,7 @@ class Outages:
 
     @property
     def _is_looked_for(self) -> bool:
-        """The service answers, but has never known where the robot is."""
+        """The service answers, but has never known where the robot is, or has not for a while."""
         return self._last is not None and not self._ring.keyframes and self._knows_nothing
 
     @property
@@ -142,14 +146,25 @@ class Outages:
         self._to_place.extend(frame for _, frame in self._unanswered.values())
 
     def _stand_alone(self) -> None:
-        """`steady`, and `map` until the service says, begin at the oldest dense scan."""
-        _, (_, frame) = self._unanswered.popitem(last=False)
-        while not self._ring.wants(frame):
+        """At the oldest dense scan: there `steady`, and `map` until the service says, begin; or, when the robot was
+        known, they go on where its motion has carried it since the last answer."""
+        last, carried = self._last, np.eye(4)
+        while True:
             _, (_, frame) = self._unanswered.popitem(last=False)
-        T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))
-        covariance = np.diag(np.repeat([frame.motion.gravity_sigma_rad**2, 1e-8], 3))
+            carried = carried @ frame.motion.T_prev_lidar
+            if self._ring.wants(frame):
+                break
+        if last is not None and self._known:
+            T_map_odom, covariance = last.T_map_odom, last.covariance
+            T = se3.orthonormalised(se3.inv(T_map_odom) @ last.T_map_lidar @ carried)
+        else:
+            T_map_odom = np.eye(4)
+            covariance = np.diag(np.repeat([frame.motion.gravity_sigma_rad**2, 1e-8], 3))
+            T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))
         self._ring.add(frame, T, covariance)
-        self._last = OdometryReply(frame.seq, frame.stamp_ns, T, np.eye(4), covariance, UNANCHORED, np.zeros((0, 6)))
+        self._last = OdometryReply(
+            frame.seq, frame.stamp_ns, T_map_odom @ T, T_map_odom, covariance, UNANCHORED, np.zeros((0, 6))
+        )
         self._anchored = False
 
     def _place(self, frame: FeatureFrame) -> OdometryReply:
@@ -171,24 +186,36 @@ class Outages:
 
     # --- answers ----------------------------------------------------------------------------------------------
 
-    def on_answer(self, reply: OdometryReply) -> tuple[OdometryReply, Correction | None]:
-        """The service's answer as the Imu node is to read it, and how `map` moved if that ends an outage."""
+    def on_answer(self, reply: OdometryReply) -> tuple[OdometryReply | None, Correction | None]:
+        """The service's answer as the Imu node is to read it, and how `map` moved if that ends an outage.
+
+        None: in an outage the node is told by the edge's odometry, and by an answer only when the two frames can be
+        joined, by a pose of that scan in both. Poses of two frames in turns would be a motion that nobody made.
+        """
         looked_for = reply.state in (LOCALISING, LOST)
         if looked_for and not self._ring.keyframes and not reply.rejected:
-            self._last = reply  # its frame stays at hand: the edge's odometry may begin there
-            return reply, None
+            if self._known:
+                self._take(reply.seq)  # those after it say how the robot was carried on
+            self._last = self._steady(reply)  # its frame stays at hand: the edge's odometry may begin there
+            return self._last, None
         frame = self._take(reply.seq)
         if reply.rejected:
             return reply, None
         if looked_for:
             self._state = reply.state
-        correction = self._late(reply) if self.alone else None
-        steady = self._steady(reply)
-        if not self.alone:
-            self._last = steady
-            if frame is not None and not looked_for and self._ring.wants(frame):
+        if self.alone:
+            return self._late(reply)
+        steady = self._last = self._steady(reply)
+        self._known |= not looked_for
+        if not looked_for:
+            self._looked_for = 0
+            if frame is not None and self._ring.wants(frame):
                 self._ring.add(frame, se3.inv(steady.T_map_odom) @ steady.T_map_lidar, steady.covariance)
-        return steady, correction
+        elif self._known:
+            self._looked_for += 1
+            if self._looked_for >= self.settings.lost_answers:
+                self._ring.clear()  # where they lie may be what is wrong
+        return steady, None
 
     def _steady(self, reply: OdometryReply) -> OdometryReply:
         """inv(T_map_odom) @ T_map_lidar of an answer is in the service's frame; of what this returns, in `steady`."""
@@ -203,24 +230,25 @@ class Outages:
             self._unanswered.popitem(last=False)
         return None if answered is None else answered[1]
 
-    def _late(self, reply: OdometryReply) -> Correction | None:
+    def _late(self, reply: OdometryReply) -> tuple[OdometryReply | None, Correction | None]:
         """An answer during an outage: old ones say nothing of now; late ones where `map` is; a fresh one ends it."""
         s, placement = self.settings, self._placed.get(reply.seq)
         age_s = (self._newest_ns - reply.stamp_ns) * 1e-9
         if placement is None or age_s > s.late_s or reply.state in (LOCALISING, LOST):
-            return None
+            return None, None
         self._join(placement, se3.inv(reply.T_map_odom) @ reply.T_map_lidar)
-        self._last = self._steady(reply)
+        steady = self._last = self._steady(reply)
+        self._known = True
         if age_s > s.back_s:
-            return None
+            return steady, None
         self._end()
         if not self._anchored:  # where the robot was is news, no correction
             self._anchored = True
-            return None
+            return steady, None
         moved = se3.inv(self._T_map_steady @ placement.T_steady_lidar) @ reply.T_map_lidar
         correction = Correction(float(np.linalg.norm(moved[:3, 3])), se3.angle(moved))
         self.correction_max_m = max(self.correction_max_m, correction.translation_m)
-        return correction
+        return steady, correction
 
     def _join(self, placement: Placement, T_server_lidar: Array) -> None:
         """T_steady_server by the two poses of one scan. Both have noise and the drift is slow: a mean of some scans."""
@@ -232,7 +260,7 @@ class Outages:
         self._T_steady_server = se3.orthonormalised(expected @ se3.inv(T_server_lidar))
 
     def _end(self) -> None:
-        self.alone = False
+        self.alone, self._looked_for = False, 0
         self.alone_ns += self._newest_ns - self._begun_ns
         self._matching.stop()
         self._to_place.clear()

@@ -58,6 +58,10 @@ class Ring:
         self.keyframes.append(made)
         return made, self.keyframes.popleft() if len(self.keyframes) > self._limit else None
 
+    def clear(self) -> None:
+        """Forgets them all."""
+        self.keyframes.clear()
+
     def seen_by(self, indices: NDArray[np.int64]) -> list[tuple[Array, Array]]:
         """Pose and covariance of each of these keyframes; of the oldest one for what went before it."""
         first = self.keyframes[0].index

@@ -57,6 +57,7 @@ class ScanMatching:
         self._slip = Slip()
         self._last: Placement | None = None
         self._older: list[Keyframe] = []  # not in the map yet, the newest last
+        self._failed = 0  # scans in a row
 
     def _empty_map(self) -> LocalMap:
         """Its memory stays with the system until an outage writes to it, page by page."""
@@ -65,7 +66,7 @@ class ScanMatching:
     def start(self, last: Placement) -> None:
         """Begins with a map of the newest keyframes, so that no scan costs much more than another. The next scan
         follows `last`."""
-        self._last, self._slip = last, Slip()
+        self._last, self._slip, self._failed = last, Slip(), 0
         self._older = list(self._ring.keyframes)
         self._take_older(self._settings.first_keyframes)
 
@@ -87,9 +88,16 @@ class ScanMatching:
         of_map = carried_over(T, self._ring.seen_by(result.keyframes)) + self._slip.covariance
         covariance = of_map if outcome == Outcome.FAILED else of_map + self._settings.doubt * result.covariance
         self._last = Placement(frame.seq, frame.stamp_ns, T, covariance, axes, outcome)
-        if outcome != Outcome.FAILED and self._ring.wants(frame):
+        self._failed = self._failed + 1 if outcome == Outcome.FAILED else 0
+        if self._ring.wants(frame) and (outcome != Outcome.FAILED or self._begins_anew(result)):
             self._add(frame, self._last)
         return self._last
+
+    def _begins_anew(self, result: RegistrationResult) -> bool:
+        """What is around has nothing in common with the map, as after a LiDAR that was covered: the scan is where it
+        was carried to, and the next ones have it to hold on to."""
+        s = self._settings
+        return self._failed >= s.failed_scans and result.features >= s.min_features
 
     def _align(self, frame: FeatureFrame, last: Placement) -> RegistrationResult:
         """As in map_service/scan_alignment.py: the Imu node's motion is the start, and a measurement."""

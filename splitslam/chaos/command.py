@@ -6,6 +6,7 @@ import json
 import sys
 from pathlib import Path
 
+import typer
 from rich.console import Console
 from rich.live import Live
 
@@ -20,7 +21,10 @@ _BY_HAND_S = 60.0
 
 
 def run_chaos(out: Path, *, seconds: float | None, seed: int, script: str | None, as_json: bool) -> None:
-    """Keys when a person sits there and no script is given; otherwise the script, `default` if none is named."""
+    """Keys when a person sits there and no script is given; otherwise the script, `default` if none is named.
+
+    Exit code 1 when a scan was lost or mapped twice, or a trajectory was bent.
+    """
     by_hand = script is None and sys.stdin.isatty()
     harms = None if by_hand else read_script(script or "default")
     if seconds is None:
@@ -31,9 +35,11 @@ def run_chaos(out: Path, *, seconds: float | None, seed: int, script: str | None
         result = chaos_demo(out, progress, harms, screen.show, seconds=seconds, seed=seed)
     if as_json:
         print(json.dumps(result.as_dict()))
-        return
-    show(result)
-    print(out / "chaos.json")
+    else:
+        show(result)
+        print(out / "chaos.json")
+    if not result.passed:
+        raise typer.Exit(1)
 
 
 class _Screen:

@@ -16,6 +16,7 @@ from splitslam.chaos.show import Inflicted
 from splitslam.evaluate import evaluate
 from splitslam.tum import Trajectory, read_tum
 
+_OFF_M = 0.1  # more than undisturbed: a map that a robot cannot be driven by
 _AFTER_S = 2.0  # a fault's drift is looked for until so long after it was mended
 
 
@@ -35,6 +36,11 @@ class RobotResult:
     ate_undisturbed_m: float
     odom_step_m: float
 
+    @property
+    def off(self) -> bool:
+        """What was done to it has bent its trajectory."""
+        return not self.ate_m <= self.ate_undisturbed_m + _OFF_M
+
 
 @dataclass(frozen=True, slots=True)
 class FaultResult:
@@ -53,6 +59,11 @@ class FaultResult:
 class ChaosResult:
     robots: tuple[RobotResult, ...]
     faults: tuple[FaultResult, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Nothing lost, nothing mapped twice, and every trajectory as good as one that nobody disturbed."""
+        return not any(robot.lost or robot.twice or robot.off for robot in self.robots)
 
     def as_dict(self) -> dict[str, Any]:
         """chaos.json."""

@@ -44,7 +44,9 @@ def _verdict(result: ChaosResult) -> Text:
     lost, twice = (sum(getattr(robot, name) for robot in result.robots) for name in ("lost", "twice"))
     dropped, mapped = (sum(getattr(robot, name) for robot in result.robots) for name in ("dropped", "mapped"))
     text = f"{mapped} scans mapped, {lost} lost, {twice} mapped twice, {dropped} dropped by the robots"
-    return Text(text, "bold #90e06d" if lost == twice == 0 else "bold #ff6b6b")
+    if off := [robot.robot for robot in result.robots if robot.off]:
+        text += f"; bent: the trajectory of {', '.join(off)}"
+    return Text(text, "bold #90e06d" if result.passed else "bold #ff6b6b")
 
 
 def _mm(value_m: float) -> str:

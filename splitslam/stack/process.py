@@ -20,6 +20,7 @@ from splitslam.errors import InputError
 _LAUNCH = Path(__file__).with_name("_launch.py")
 _PORTS = range(20_000, 32_000)  # below those that the kernel gives to outgoing connections
 _TICK_S = 0.02
+_given: set[int] = set()
 # The kernel ties a child to the thread that started it, not to the process: this one lives as long as the process does.
 _starter = concurrent.futures.ThreadPoolExecutor(1, thread_name_prefix="stack-starter")
 
@@ -35,11 +36,14 @@ def check_stack_installed() -> None:
 
 
 def free_port() -> int:
-    """A port of 127.0.0.1 that nobody listens on now, and that no outgoing connection will take."""
+    """A port of 127.0.0.1 that nobody listens on now, that no outgoing connection will take, and that this process was
+    not given before: a stack takes all of its ports ahead of the programs that listen on them."""
     for port in random.SystemRandom().sample(_PORTS, 50):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
-            return port
+            if port not in _given:
+                _given.add(port)
+                return port
     raise StackError(f"no free port of 127.0.0.1 found in {_PORTS.start}..{_PORTS.stop}")
 
 

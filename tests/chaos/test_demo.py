@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,15 @@ def test_the_end_table_says_what_was_lost():
     screen = shown(tables(ChaosResult((rows,), (FaultResult("store killed", 9.0, 3.2, 1.5, 0.05),))))
     for text in ("2 lost", "397 scans mapped", "store killed", "50.0 mm", "1.50 s"):
         assert text in screen
+
+
+@pytest.mark.parametrize("changes", [{"lost": 1}, {"twice": 1}, {"ate_m": 0.104}, {"ate_m": np.nan}])
+def test_a_demo_with_a_scan_lost_or_a_trajectory_bent_has_not_passed(changes: dict[str, float]):
+    good = RobotResult("robot-1", 400, 397, 1, 0, 0, 0, 1.5, 0.004, 0.003, 0.001)
+    bad = replace(good, robot="robot-2", **changes)
+    assert ChaosResult((good,), ()).passed
+    assert not ChaosResult((good, bad), ()).passed
+    assert ("bent: the trajectory of robot-2" in shown(tables(ChaosResult((good, bad), ())))) == ("ate_m" in changes)
 
 
 def test_the_drives_differ_and_are_made_of_the_same_lap():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -197,13 +198,62 @@ def test_a_robot_that_is_looked_for_from_its_first_scan_on_goes_by_its_own_odome
     np.testing.assert_allclose(steady(told), T_first @ pose(KNOWN + 1), atol=2 * bars.EDGE_ODOMETRY_M)
 
 
-def test_a_robot_that_was_known_and_is_lost_is_not_matched_against_where_it_was():
+def test_a_robot_that_was_known_and_is_lost_goes_on_by_its_own_odometry_from_where_it_was_carried_to():
     outages = Outages(OdometrySettings())
     connected(outages)
-    for seq in range(KNOWN + 1, KNOWN + SILENT):
-        assert outages.on_frame(frame(seq)) == []
-        outages.on_answer(replace(answer(seq), state=LOST))
+    wrong = se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]))  # what it was lost by
+    replies = []
+    for seq in range(KNOWN + 1, KNOWN + SILENT + 5):
+        replies += outages.on_frame(frame(seq))
+        told, correction = outages.on_answer(replace(answer(seq, wrong), state=LOST))
+        assert correction is None
+        assert (told is None) == outages.alone  # one of the two says where it is carried to
+    assert outages.alone
+    assert {reply.state for reply in replies} == {LOST}
+    assert [reply.seq for reply in replies] == list(range(replies[0].seq, KNOWN + SILENT + 5))
+    assert replies[0].seq - KNOWN < 12  # five answers, and the next dense scan
+    ends = [float(np.linalg.norm((se3.inv(wrong @ pose(r.seq)) @ steady(r))[:3, 3])) for r in replies]
+    assert max(ends) < 0.03 * 2 + bars.EDGE_ODOMETRY_M  # carried for a scan or two, and no more after it
+    last = KNOWN + SILENT + 5
+    outages.on_frame(frame(last))
+    told, correction = outages.on_answer(answer(last))  # found
     assert not outages.alone
+    assert correction is None
+    assert told is not None
+    np.testing.assert_allclose(steady(told), steady(replies[-1]) @ se3.inv(pose(last - 1)) @ pose(last), atol=0.02)
+    np.testing.assert_allclose(told.T_map_lidar, pose(last))  # the robot's own frame goes on, `map` takes the rest
+
+
+def test_a_few_answers_that_look_for_the_robot_are_no_reason_to_go_alone():
+    outages = Outages(OdometrySettings())
+    connected(outages)
+    for seq in range(KNOWN + 1, KNOWN + 30):
+        assert outages.on_frame(frame(seq)) == []
+        outages.on_answer(replace(answer(seq), state=LOST if seq % 5 else 2))
+    assert not outages.alone
+
+
+def test_an_answer_to_a_scan_that_is_not_placed_yet_is_not_mixed_with_the_edge_s_own_poses():
+    """A robot that is found just when the edge's odometry has begun, in a frame of its own."""
+    outages = Outages(OdometrySettings())
+    place = se3.exp(np.array([0.0, 0.0, 1.0, 5.0, -3.0, 0.0]))
+    outages.on_frame(frame(1))
+    for seq in range(2, 6):
+        assert outages.on_frame(frame(seq)) == []
+    outages.on_answer(replace(answer(1, place), state=LOST))
+    told = outages.on_frame(frame(6))  # two of them are placed now, the others wait
+    assert [reply.seq for reply in told] == [2, 3]
+    assert outages.on_answer(answer(4, place)) == (None, None)
+    assert outages.on_answer(answer(5, place)) == (None, None)
+    told += outages.on_frame(frame(7))
+    told += outages.on_frame(frame(8))
+    joined, correction = outages.on_answer(answer(7, place))
+    assert correction is None
+    assert not outages.alone
+    assert joined is not None
+    steps = [se3.inv(steady(a)) @ steady(b) for a, b in itertools.pairwise([*told[:-1], joined])]
+    made = [se3.inv(pose(seq - 1)) @ pose(seq) for seq in range(3, 8)]
+    np.testing.assert_allclose(steps, made, atol=2 * bars.EDGE_ODOMETRY_M)
 
 
 def test_switched_off_it_does_nothing():

@@ -102,3 +102,22 @@ def test_the_first_scan_takes_memory_for_what_is_in_the_map_and_not_for_what_the
     assert room > 5 * bars.OUTAGE_MAP_BYTES
     assert grown[0] < bars.OUTAGE_MAP_BYTES
     assert grown[-1] < 2 * bars.OUTAGE_MAP_BYTES
+
+
+def test_a_robot_that_sees_again_after_its_lidar_was_covered_holds_on_to_what_it_sees_then():
+    nothing = np.tile([[300.0, 0.0, 0.0]], (20, 1))
+    matching, _ = started(5, frame(5, surfs=nothing, corners=nothing))  # a map with nothing of the room in it
+    outcomes, placed, carried = [], [], []
+    for seq in range(6, 40):
+        made = frame(seq)
+        found = matching.place(made)
+        outcomes.append(found.outcome)
+        placed.append(found.T_steady_lidar)
+        carried.append(made.motion.T_prev_lidar)
+    first = outcomes.index(Outcome.PLACED)
+    assert set(outcomes[:first]) == {Outcome.FAILED}
+    assert set(outcomes[first:]) == {Outcome.PLACED}
+    assert SETTINGS.failed_scans <= first < SETTINGS.failed_scans + 6  # every fifth scan is dense
+    way = se3.inv(placed[first]) @ placed[-1]
+    made_way = se3.inv(pose(6 + first)) @ pose(39)
+    assert np.linalg.norm((se3.inv(made_way) @ way)[:3, 3]) < bars.EDGE_ODOMETRY_M
