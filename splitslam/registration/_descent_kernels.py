@@ -1,7 +1,7 @@
 """Kernel of the descent: all iterations of a registration in one call, so that nothing but itself is in the caches.
 
-A class of features is a tuple: slots, moments, geometry and rules of its voxels (_kernels.py), its points (N, 3) as they
-came and as they are deskewed again, their times (N,) in s, and what they are matched with (N, 16). Frame `lidar`.
+A class of features is a tuple: slots, moments, geometry and rules of its voxels (_kernels.py), its points (N, 3) as
+they came and as they are deskewed again, their times (N,) in s, what they are matched with (N, 16). Frame `lidar`.
 """
 
 from __future__ import annotations

@@ -97,8 +97,8 @@ class Registration:
         points follow the twist that the found motion implies: p' = p + (dv + dw x p) t. A point is matched again when
         the pose has moved by `rematch_m` since.
         """
-        voxels, points = (local_map.corners, local_map.surfs), (corners_lidar, surfs_lidar)
-        corners, surfs = (scratch.of(*of) for scratch, *of in zip(self._scratch, voxels, points, offsets_s, strict=True))
+        corners = self._scratch[0].of(local_map.corners, corners_lidar, offsets_s[0])
+        surfs = self._scratch[1].of(local_map.surfs, surfs_lidar, offsets_s[1])
         T, T_back = prediction.T_local_lidar.copy(), se3.inv(prediction.T_local_lidar)
         H, b, spurious = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
         tangents, state = np.zeros((3, 6)), np.zeros(descent.STATE)
@@ -203,7 +203,7 @@ class _Scratch:
         self._points = np.empty((2, 0, 3))
         self._fits = np.empty((0, GEOMETRY))
 
-    def of(self, voxels: VoxelMap, points_lidar: NDArray[np.float32], offsets_s: Array) -> tuple[Array, ...]:
+    def of(self, voxels: VoxelMap, points_lidar: NDArray[np.float32], offsets_s: Array) -> tuple[NDArray, ...]:
         """The class as _descent_kernels.py has it: what is to be matched with what, and room for it."""
         count = len(points_lidar)
         if count > len(self._fits):
@@ -220,10 +220,10 @@ def deskew_again(points_lidar: NDArray[Real], offsets_s: Array, delta_twist: Arr
     return moved
 
 
-def _first_seen_by(*fits: Array) -> NDArray[np.int64]:
+def _first_seen_by(corners: Array, surfs: Array) -> NDArray[np.int64]:
     """Quantiles of the keyframes that the matched voxels are from, by class (N, 16); empty without a match."""
-    first = np.empty(sum(map(len, fits)), np.int64)
-    first = first[: kernels.first_seen(*fits, first)]
+    first = np.empty(len(corners) + len(surfs), np.int64)
+    first = first[: kernels.first_seen(corners, surfs, first)]
     if not len(first):
         return first
     first.sort()

@@ -42,7 +42,9 @@ def service() -> Iterator[str]:
     with ThreadPoolExecutor(4) as threads:
         server = grpc.server(threads)
         stream = grpc.stream_stream_rpc_method_handler(serve_robot)
-        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("splitslam.v1.EdgeService", {"Stream": stream}),))
+        server.add_generic_rpc_handlers(
+            (grpc.method_handlers_generic_handler("splitslam.v1.EdgeService", {"Stream": stream}),)
+        )
         port = server.add_insecure_port("127.0.0.1:0")
         server.start()
         yield f"127.0.0.1:{port}"

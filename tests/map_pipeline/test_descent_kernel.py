@@ -22,7 +22,9 @@ GATE_M = 0.5
 class Descent:
     """The arrays of one, of surfs and corners as they are seen from T_TRUE."""
 
-    def __init__(self, surfs: np.ndarray, corners: np.ndarray, every: int, again: bool, max_iterations: int = 20) -> None:
+    def __init__(
+        self, surfs: np.ndarray, corners: np.ndarray, every: int, again: bool, max_iterations: int = 20
+    ) -> None:
         rng, s = np.random.default_rng(5), SETTINGS
         self.classes = []
         kinds = (corners, kernels.LINE, VoxelSettings(levels=2, min_points=5)), (surfs, kernels.PLANE, VoxelSettings())
