@@ -25,7 +25,7 @@ from splitslam.logs import configure_logs, fields
 
 BEAT_S = 0.5
 _IDLE_S, _COMMITTING_S = 0.25, 0.02
-_LOOK_AFTER_S = 0.02  # however much there is to do, and no more often
+_LOOK_AFTER_S = 0.02  # however much there is to do
 
 _log = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ class Worker:
                 self._host.handle(message)
             elif not self._host.care():
                 busy = False
-            if time.monotonic() - looked_s > _LOOK_AFTER_S:
+            if not busy or time.monotonic() - looked_s > _LOOK_AFTER_S:
                 self._host.look_after()
                 looked_s = time.monotonic()
             self._job_since_s = None
