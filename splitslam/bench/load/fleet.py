@@ -99,14 +99,11 @@ class _Robot:
             await self._until(lambda: self.account.unanswered == 0)
 
     async def finish(self) -> None:
-        """Says Bye, until the service has closed the session and then the stream: one that is open yet when the robots
-        go, a moment after the last of them has read Finished, would be cut from this side and count as broken.
-        """
+        """Says Bye, until the service has closed the session."""
         with self._told():
             bye = pb.Bye(last_seq=len(self.account.sent_s))
             await self._call.write(pb.StreamRequest(bye=bye).SerializeToString())
             await self._until(lambda: self.account.finished is not None)
-            await self._until(lambda: self._over)
 
     @contextmanager
     def _told(self) -> Iterator[None]:
@@ -123,14 +120,9 @@ class _Robot:
         if done():
             return
         async with asyncio.timeout(_LAST_S):
-            while not (done() or self._over):
+            while not done() and self._listener is not None and not self._listener.done():
                 self._changed.clear()
                 await self._changed.wait()
-
-    @property
-    def _over(self) -> bool:
-        """Nothing more can come."""
-        return self._listener is None or self._listener.done()
 
     async def close(self) -> None:
         self._call.cancel()
