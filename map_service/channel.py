@@ -164,13 +164,22 @@ class Drained:
     durable: dict[int, int]
 
 
+_KINDS = (Open, Request, Close, Forget, HandOver, Watch, DrainAll)
+_KINDS += (Ready, Reply, Seen, Abort, Handed, Beat, Drained)
+_NUMBERS = {kind: (number, kind.__slots__) for number, kind in enumerate(_KINDS)}
+
+
 def pack(message: Any) -> bytes:
-    body = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+    """As its kind's number and its fields: a frozen dataclass pickled by itself takes twice as long."""
+    number, names = _NUMBERS[type(message)]
+    body = pickle.dumps((number, *[getattr(message, name) for name in names]), pickle.HIGHEST_PROTOCOL)
     return HEADER.pack(len(body)) + body
 
 
-def unpack(body: bytes) -> Any:
-    return pickle.loads(body)
+def unpack(body: bytes | memoryview) -> Any:
+    """What `pack` made, without its header."""
+    number, *values = pickle.loads(body)
+    return _KINDS[number](*values)
 
 
 class WorkerEnd:

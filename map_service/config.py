@@ -92,7 +92,7 @@ class AdviceConfig(Model):
 
 
 class CommitConfig(Model):
-    """When a session is committed besides at each keyframe, and what happens while the store takes none."""
+    """When a session is committed, and what happens while the store takes none."""
 
     every_s: float = Field(default=1.0, gt=0)
     every_frames: int = Field(default=20, ge=1)

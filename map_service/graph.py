@@ -120,7 +120,7 @@ class PoseGraph:
         data = json.dumps({"v": _VERSION, **payload}).encode()
         record = FactorRecord(self.record_count, kind, data)
         self.records.append(record)
-        self._add(record, T_new)
+        self._add(kind, payload, T_new)
 
     @property
     def record_count(self) -> int:
@@ -138,41 +138,40 @@ class PoseGraph:
 
     # --- encoding -> factors ----------------------------------------------------------------------------------
 
-    def _add(self, record: FactorRecord, T_new: Array | None) -> None:
-        p = json.loads(record.payload)
+    def _add(self, kind: str, p: dict, T_new: Array | None) -> None:
         if T_new is not None:
             self._values.insert(X(len(self.poses)), gtsam.Pose3(T_new))
             self.poses.append(T_new)
             self.drifts.append(np.reshape(p["drift"], (6, 6)) if "drift" in p else np.eye(6) * _FIXED**2)
-        if record.kind == "prior":
+        if kind == "prior":
             pose, tilt = _square(p["pose"]), p.get("tilt", _FIXED)
             covariance = np.eye(6) * _FIXED**2
             # tangents are the robot's axes, tilt is about those of `map`
             covariance[:3, :3] = pose[:3, :3].T @ np.diag([tilt**2, tilt**2, _FIXED**2]) @ pose[:3, :3]
             noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
             self._graph.add(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(pose), noise))
-        elif record.kind == "odometry":
+        elif kind == "odometry":
             noise = gtsam.noiseModel.Gaussian.Covariance(np.reshape(p["covariance"], (6, 6)))
             motion = gtsam.Pose3(_square(p["motion"]))
             follows = p.get("from", p["to"] - 1)
             if follows != p["to"] - 1:
                 self.follows[p["to"]] = follows
             self._graph.add(gtsam.BetweenFactorPose3(X(follows), X(p["to"]), motion, noise))
-        elif record.kind == "loop":
+        elif kind == "loop":
             self.loops.append((p["older"], p["newer"]))
             # loops of the first release had two sigmas: rotation rad, translation m
             covariance = p.get("covariance") or np.diag(np.repeat(np.square(p.get("sigmas", [1.0, 1.0])), 3))
             noise = gtsam.noiseModel.Gaussian.Covariance(np.reshape(covariance, (6, 6)))
             motion = gtsam.Pose3(_square(p["motion"]))
             self._graph.add(gtsam.BetweenFactorPose3(X(p["older"]), X(p["newer"]), motion, _cauchy(noise, p["robust"])))
-        elif record.kind == "gnss":
+        elif kind == "gnss":
             self._add_gnss_factor(p)
-        elif record.kind == "gravity":
+        elif kind == "gravity":
             noise = gtsam.noiseModel.Isotropic.Sigma(2, p["sigma"])
             down = gtsam.Unit3(np.array(p["down"]))
             self._graph.add(gtsam.AttitudeFactorPose3(X(p["keyframe"]), gtsam.Unit3(DOWN), noise, down))
         else:
-            raise ValueError(f"factor kind {record.kind!r} is none of prior, odometry, loop, gnss, gravity")
+            raise ValueError(f"factor kind {kind!r} is none of prior, odometry, loop, gnss, gravity")
 
     def _add_gnss_factor(self, p: dict) -> None:
         datum = p.get("datum", 0)
@@ -255,7 +254,7 @@ class PoseGraph:
         for record in records:
             new = record.kind in ("prior", "odometry")
             graph.records.append(record)
-            graph._add(record, poses[len(graph.poses)] if new else None)
+            graph._add(record.kind, json.loads(record.payload), poses[len(graph.poses)] if new else None)
         graph.optimise(corrected=True)
         return graph
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from map_service.settings import LoopFitSettings
 from splitslam import se3
+
+if TYPE_CHECKING:
+    from map_service.settings import LoopFitSettings
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,13 @@ import multiprocessing
 import os
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 from map_service.loops import LoopJob, LoopResult, refused, verify
 from map_service.processes import cpu_ns, follow_parent
+from splitslam.config import Model
 from splitslam.logs import fields
 
 _log = logging.getLogger(__name__)
@@ -26,6 +30,7 @@ class LoopPool:
 
     def submit(self, job: LoopJob) -> Future[LoopResult]:
         """The future of `verify(job)`. It never fails: a job whose process died is a rejected loop, "failed"."""
+        job = replace(job, settings=_plain(job.settings))
         try:
             inner = self._running().submit(verify, job)
         except BrokenProcessPool:
@@ -61,6 +66,12 @@ class LoopPool:
         pool.shutdown(wait=True, cancel_futures=True)
         del pool
         gc.collect()
+
+
+def _plain(settings: Model) -> Any:
+    """The same values without pydantic, which a fresh process would take longer to load than all it needs."""
+    values = {name: getattr(settings, name) for name in type(settings).model_fields}
+    return SimpleNamespace(**{name: _plain(v) if isinstance(v, Model) else v for name, v in values.items()})
 
 
 def _result(job: LoopJob, done: Future[LoopResult]) -> LoopResult:

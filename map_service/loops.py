@@ -1,17 +1,22 @@
-"""Loop closures: candidates, and their verification as a stateless job for a process pool."""
+"""Loop closures: candidates, and their verification as a stateless job for a process pool.
+
+A process of the pool loads this module and what it needs: for small_gicp and numpy that takes 0.1 s of CPU.
+"""
 
 from __future__ import annotations
 
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from map_service.loop_fit import CloudPair, Fit, Rival
 from map_service.loop_search import search
-from map_service.settings import LoopSettings
+
+if TYPE_CHECKING:
+    from map_service.settings import LoopSettings
 
 Array = NDArray[np.float64]
 

@@ -78,7 +78,7 @@ class CommitLog:
         if not self._frames:
             return False
         age_s = (self._frames[-1].stamp_ns - self._first_ns) * 1e-9
-        return bool(self._keyframes) or len(self._frames) >= frames or age_s >= seconds
+        return len(self._frames) >= frames or age_s >= seconds
 
     def take(
         self, graph: PoseGraph, tracker: bytes, places: list[tuple[int, bytes]], outcomes: Counter[tuple[str, str]]

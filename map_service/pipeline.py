@@ -312,7 +312,7 @@ class MapPipeline:
 
     @property
     def commit_due(self) -> bool:
-        """At each keyframe and at least every second or 20 frames of recording time."""
+        """Every second of recording time, or 20 frames."""
         return self.log.due(self.settings.commit_frames, self.settings.commit_s)
 
     def take_commit(self) -> Commit:

@@ -29,21 +29,23 @@ class ScanAlignment:
     def __init__(
         self, settings: TrackerSettings, registration: Registration, local_map: LocalMap, redeskew: bool
     ) -> None:
-        self._settings, self._registration, self._local_map = settings, registration, local_map
+        self._registration, self._local_map = registration, local_map
         self._redeskew = redeskew
+        self._floors = np.repeat([settings.pose_rotation_rad, settings.pose_translation_m], 3)
         self._start_accelerations = np.repeat([settings.start_rotation_radps2, settings.start_acceleration_mps2], 3)
 
     def forward(self, frame: FeatureFrame, state: TrackerState) -> RegistrationResult:
         """The scan after `state`, from the edge's motion."""
-        motion, s = frame.motion, self._settings
+        motion = frame.motion
         interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
         sigmas = np.sqrt(np.maximum(np.diag(motion.covariance), 1e-12)) / interval_s
         base = self._base_twist(frame, state, interval_s)
+        T_prev_lidar, floors = motion.T_prev_lidar, self._floors
         if base.any():  # what remains is how the twist changes from one scan to the next
             sigmas = np.minimum(sigmas, self._start_accelerations * interval_s)
-        T_prev_lidar = motion.T_prev_lidar @ se3.exp(base * interval_s)
-        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
-        floors = floors + 0.5 * state.hole_s**2 * self._start_accelerations
+            T_prev_lidar = T_prev_lidar @ se3.exp(base * interval_s)
+        if state.hole_s:
+            floors = floors + 0.5 * state.hole_s**2 * self._start_accelerations
         information = np.diag(1.0 / ((sigmas * interval_s + state.carried_sigma) ** 2 + floors**2))
         prediction = Prediction(
             state.T_local_lidar @ T_prev_lidar, information, interval_s, float(sigmas[:3].max()), sigmas[3:]
@@ -62,7 +64,7 @@ class ScanAlignment:
             prediction,
             again,
         )
-        return replace(result, delta_twist=result.delta_twist + base)
+        return replace(result, delta_twist=result.delta_twist + base) if base.any() else result
 
     def _base_twist(self, frame: FeatureFrame, state: TrackerState, interval_s: float) -> Array:
         """What to add to the edge's twist before registering: nothing, unless the server knows better.
@@ -82,7 +84,7 @@ class ScanAlignment:
         """The scan before one that is placed, from that one's motion backwards in time."""
         assert later.frame is not None
         interval_s = max((later.stamp_ns - frame.stamp_ns) * 1e-9, 1e-3)
-        after, motion, s = later.frame.motion, frame.motion, self._settings
+        after, motion = later.frame.motion, frame.motion
         T_this_later, base = after.T_prev_lidar, np.zeros(6)
         sigmas = np.sqrt(np.maximum(np.diag(after.covariance), 1e-12)) / interval_s
         if not after.velocity_known:  # the way is the server's to know; the turn the IMU's, if there is one
@@ -95,8 +97,7 @@ class ScanAlignment:
         T = later.T_local_lidar @ se3.inv(T_this_later)
         if not (len(frame.corners) or len(frame.surfs)):
             return RegistrationResult.without_features(T, after.covariance)
-        floors = np.repeat([s.pose_rotation_rad, s.pose_translation_m], 3)
-        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + floors**2))
+        information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + self._floors**2))
         prediction = Prediction(T, information, interval_s, float(sigmas[:3].max()), sigmas[3:])
         return self._register(frame, prediction, base, self._redeskew)
 

@@ -83,7 +83,7 @@ class Tracker:
             return self._carry(frame, state, result)
         self.carried.clear()
         track = self._accept(frame, state, result, trusted=verdict != Verdict.DOUBTED)
-        return replace(track, first_again=first_again)
+        return track if first_again is None else replace(track, first_again=first_again)
 
     def _begin(self, frame: FeatureFrame) -> Track:
         T = se3.compose(se3.level_rotation(-frame.motion.gravity_lidar), np.zeros(3))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import math
 import multiprocessing
@@ -14,7 +13,6 @@ from typing import Any
 
 import grpc
 
-from map_service import channel
 from map_service.channel import Abort, Beat, Drained, Handed, Ready, Reply, RobotStanding, Seen, Watch
 from map_service.config import ServiceConfig
 from map_service.live_answers import LiveAnswers
@@ -23,6 +21,7 @@ from map_service.robot_gauges import RobotSeen
 from map_service.streams import RobotStream
 from map_service.watchers import Watchers
 from map_service.worker import WorkerSpec, worker_main
+from map_service.worker_link import WorkerLink
 from splitslam.logs import fields
 
 _LIVELY_S = 1.5
@@ -60,32 +59,23 @@ class WorkerProcess:
 
     async def run(self) -> None:
         """Take its messages until it ends."""
-        reader, self._writer = await asyncio.open_unix_connection(sock=self._sock)
+        self._link = await WorkerLink.over(self._sock, self._take)
         try:
-            while True:
-                (size,) = channel.HEADER.unpack(await reader.readexactly(channel.HEADER.size))
-                self._take(channel.unpack(await reader.readexactly(size)))
-        except (asyncio.IncompleteReadError, ConnectionError):
-            pass
+            await self._link.until_lost()
         finally:
             if self.ready.is_set():
                 self._metrics.workers_ready.of().dec()
             self.ready.clear()
-            self._writer.close()
+            self._link.close()
 
     async def send(self, message: Any) -> None:
         """Waits while the worker's queue is full; a worker that has died loses it (its streams are ended)."""
-        try:
-            self._writer.write(channel.pack(message))
-            await self._writer.drain()
-        except ConnectionError:
-            pass
+        await self._link.send(message)
 
     def watch(self, watch: Watch) -> None:
         """Tells a worker that is there whom somebody looks at. It never waits: such messages are few and small."""
         if self.ready.is_set():
-            with contextlib.suppress(ConnectionError):
-                self._writer.write(channel.pack(watch))
+            self._link.write(watch)
 
     def _take(self, message: Any) -> None:
         match message:

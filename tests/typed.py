@@ -18,7 +18,7 @@ from tests.conftest import ROOT
 PROGRAMS = {
     "splitslam": "splitslam.cli",
     "edge-agent": "edge_agent.__main__",
-    "map-service": "map_service.__main__",
+    "map-service": "map_service.command",
 }
 
 

@@ -12,7 +12,9 @@ import numpy as np
 from numba import njit
 
 from splitslam._se3_kernels import exp, log, multiply
-from splitslam.registration._kernels import COUNT, FASTMATH, KIND, PLANE
+from splitslam.registration._kernels import COUNT, FASTMATH, KEYFRAME, KIND, PLANE
+
+SPOKESMEN = 256
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -132,16 +134,18 @@ def spurious(fits, points_lidar, T, noise, H):
 
     A plane's normal wavers about its in-plane axes j with variance l_min / (n l_j), a line's direction about both
     others with l_mid / (n l_max): a smooth tunnel's walls seem to say where along it the sensor is. Variances of
-    principal axes to first order: Jolliffe, "Principal Component Analysis", 2002, section 3.6.
+    principal axes to first order: Jolliffe, "Principal Component Analysis", 2002, section 3.6. Of many features some,
+    evenly chosen, speak for all: `SPOKESMEN` at least.
     """
     J = np.empty(6)
-    for k in range(len(points_lidar)):
+    every = max(len(points_lidar) // SPOKESMEN, 1)
+    for k in range(0, len(points_lidar), every):
         g = fits[k]
         if g[KIND] == 0.0:
             continue
         px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
         square, variance = offset_from_fit(g, T, px, py, pz, noise[0])[4:]
-        weight = 1.0 / ((1.0 + square / (variance * noise[1] * noise[1])) * variance)
+        weight = every / ((1.0 + square / (variance * noise[1] * noise[1])) * variance)
         thin = g[6] if g[KIND] == PLANE else g[7]
         tilt = max(thin, 2.5e-5) / max(g[COUNT] - 3.0, 1.0)
         for row in range(2):
@@ -222,6 +226,42 @@ def solve(H, information, b, xi, damping, step):
             step[r] -= A[k, r] * step[k]
         step[r] /= A[r, r]
     return True
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def invert(H, information, out):
+    """out (n, n) = (H + information)^-1. False, and out is then zero, where the sum is not positive definite."""
+    n = len(H)
+    A = np.empty_like(H)
+    out[:] = 0.0
+    for r in range(n):
+        for c in range(r, n):
+            A[r, c] = H[r, c] + information[r, c]
+    if not factorise(A):
+        return False
+    for k in range(n):  # the inverse's columns from those of the unit matrix, forwards and back
+        out[k, k] = 1.0 / A[k, k]
+        for r in range(k + 1, n):
+            for c in range(k, r):
+                out[r, k] -= A[r, c] * out[c, k]
+            out[r, k] /= A[r, r]
+        for r in range(n - 1, -1, -1):
+            for c in range(r + 1, n):
+                out[r, k] -= A[c, r] * out[c, k]
+            out[r, k] /= A[r, r]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def first_seen(corners, surfs, first):
+    """first out: the keyframes that saw first what was matched, of fits (N, 16) of both classes; returns how many."""
+    count = 0
+    for fits in (corners, surfs):
+        for k in range(len(fits)):
+            if fits[k, KIND] != 0.0:
+                first[count] = np.int64(fits[k, KEYFRAME])
+                count += 1
+    return count
 
 
 @njit(cache=True, nogil=True)

@@ -124,34 +124,75 @@ def take_out(slots, moments, geometry, rules, points, gone):
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
+def _isolated(A, n):
+    """The eigenvalue of a symmetric (3, 3) that lies furthest from the others, and its eigenvector n (3,).
+
+    Smith, "Eigenvalues of a symmetric 3 x 3 matrix", 1961. It is at least sqrt(3) p away from the next, so that the
+    largest of the products of two rows of A - e, all of them along n, is never small.
+    """
+    q = (A[0, 0] + A[1, 1] + A[2, 2]) / 3.0
+    x, y, z = A[0, 0] - q, A[1, 1] - q, A[2, 2] - q
+    f, g, h = A[0, 1], A[0, 2], A[1, 2]
+    p = math.sqrt((x * x + y * y + z * z + 2.0 * (f * f + g * g + h * h)) / 6.0)
+    n[0], n[1], n[2] = 1.0, 0.0, 0.0
+    if p <= 1e-15 * abs(q) or p == 0.0:  # a sphere
+        return q
+    r = (x * (y * z - h * h) - f * (f * z - g * h) + g * (f * h - g * y)) / (2.0 * p * p * p)
+    phi = math.acos(min(max(r, -1.0), 1.0)) / 3.0
+    e = 2.0 * p * math.cos(phi if r >= 0.0 else phi + 2.0 * math.pi / 3.0)
+    x, y, z = x - e, y - e, z - e
+    best = 0.0
+    for pair in range(3):
+        if pair == 0:
+            a, b, c = f * h - g * y, g * f - x * h, x * y - f * f
+        elif pair == 1:
+            a, b, c = f * z - g * h, g * g - x * z, x * h - f * g
+        else:
+            a, b, c = y * z - h * h, h * g - f * z, f * h - y * g
+        square = a * a + b * b + c * c
+        if square > best:
+            best = square
+            n[0], n[1], n[2] = a, b, c
+    length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    n[0], n[1], n[2] = n[0] / length, n[1] / length, n[2] / length
+    return q + e
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
 def eigen_symmetric(A, V):
-    """Jacobi eigen-decomposition of a symmetric (3, 3); A becomes diagonal, columns of V the eigenvectors."""
+    """Eigen-decomposition of a symmetric (3, 3); A becomes diagonal, columns of V the eigenvectors.
+
+    One of them by formula, the other two by a rotation in the plane across it.
+    """
+    n = V[:, 0]
+    e = _isolated(A, n)
+    if abs(n[0]) < 0.6:
+        length = math.sqrt(n[1] * n[1] + n[2] * n[2])
+        ux, uy, uz = 0.0, -n[2] / length, n[1] / length
+    else:
+        length = math.sqrt(n[0] * n[0] + n[1] * n[1])
+        ux, uy, uz = -n[1] / length, n[0] / length, 0.0
+    wx, wy, wz = n[1] * uz - n[2] * uy, n[2] * ux - n[0] * uz, n[0] * uy - n[1] * ux
+    x = A[0, 0] * wx + A[0, 1] * wy + A[0, 2] * wz
+    y = A[0, 1] * wx + A[1, 1] * wy + A[1, 2] * wz
+    z = A[0, 2] * wx + A[1, 2] * wy + A[2, 2] * wz
+    across, of_w = ux * x + uy * y + uz * z, wx * x + wy * y + wz * z
+    x = A[0, 0] * ux + A[0, 1] * uy + A[0, 2] * uz
+    y = A[0, 1] * ux + A[1, 1] * uy + A[1, 2] * uz
+    z = A[0, 2] * ux + A[1, 2] * uy + A[2, 2] * uz
+    of_u = ux * x + uy * y + uz * z
+    t = 0.0
+    if across != 0.0:
+        theta = (of_w - of_u) / (2.0 * across)
+        t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    s = t * c
+    V[0, 1], V[1, 1], V[2, 1] = c * ux - s * wx, c * uy - s * wy, c * uz - s * wz
+    V[0, 2], V[1, 2], V[2, 2] = s * ux + c * wx, s * uy + c * wy, s * uz + c * wz
     for r in range(3):
-        for c in range(3):
-            V[r, c] = 1.0 if r == c else 0.0
-    for _ in range(12):
-        off = A[0, 1] * A[0, 1] + A[0, 2] * A[0, 2] + A[1, 2] * A[1, 2]
-        if off <= 1e-22 * (A[0, 0] * A[0, 0] + A[1, 1] * A[1, 1] + A[2, 2] * A[2, 2]) + 1e-40:
-            break
-        for p in range(2):
-            for q in range(p + 1, 3):
-                if A[p, q] == 0.0:
-                    continue
-                theta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
-                t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
-                if theta < 0.0:
-                    t = -t
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for k in range(3):
-                    a, b = A[k, p], A[k, q]
-                    A[k, p], A[k, q] = c * a - s * b, s * a + c * b
-                for k in range(3):
-                    a, b = A[p, k], A[q, k]
-                    A[p, k], A[q, k] = c * a - s * b, s * a + c * b
-                for k in range(3):
-                    a, b = V[k, p], V[k, q]
-                    V[k, p], V[k, q] = c * a - s * b, s * a + c * b
+        for k in range(3):
+            A[r, k] = 0.0
+    A[0, 0], A[1, 1], A[2, 2] = e, of_u - t * across, of_w + t * across
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

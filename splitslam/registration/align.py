@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
+from splitslam.registration import _descent_kernels as descent
 from splitslam.registration import _equation_kernels as kernels
-from splitslam.registration._kernels import GEOMETRY, KEYFRAME, KIND
+from splitslam.registration._kernels import GEOMETRY
 from splitslam.registration.local_map import LocalMap, VoxelMap
 from splitslam.registration.settings import RegistrationSettings
 
 Array = NDArray[np.float64]
 Real = TypeVar("Real", np.float32, np.float64)
+_NO_AXES = np.zeros((0, 6))
 _QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 
 
@@ -77,6 +79,7 @@ class Registration:
         self.settings = settings
         self._scale = settings.scale
         self._in_metres = np.diag(self._scale**2)
+        self._rules = _rules(settings)
         self._scratch = _Scratch(), _Scratch()
 
     def align(
@@ -94,41 +97,38 @@ class Registration:
         points follow the twist that the found motion implies: p' = p + (dv + dw x p) t. A point is matched again when
         the pose has moved by `rematch_m` since.
         """
-        s = self.settings
-        voxels, points = (local_map.corners, local_map.surfs), (corners_lidar, surfs_lidar)
-        corners, surfs = (_Class(*of) for of in zip(voxels, points, offsets_s, self._scratch, strict=True))
+        corners = self._scratch[0].of(local_map.corners, corners_lidar, offsets_s[0])
+        surfs = self._scratch[1].of(local_map.surfs, surfs_lidar, offsets_s[1])
         T, T_back = prediction.T_local_lidar.copy(), se3.inv(prediction.T_local_lidar)
-        tangents = np.zeros((3, 6))
+        H, b, spurious = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+        tangents, state = np.zeros((3, 6)), np.zeros(descent.STATE)
         gains = np.stack([self._gain(prediction) / prediction.interval_s * deskew_again, self._scale])
-        gate_m, converged, iterations, unmatched_m = self._gate_m(prediction), False, 0, np.inf
-        H, fit, axes = np.zeros((6, 6)), _Fit(0, 0, 0.0), np.zeros((0, 6))
-        spurious = None
-        for iterations in range(1, s.max_iterations + 1):
-            if unmatched_m > s.rematch_m:
-                for features in (corners, surfs):
-                    features.match(T, gate_m)
-                unmatched_m = 0.0
-            noise = np.array([s.point_sigma_m, s.robust_sigmas, gate_m])
-            H_all, b = np.empty((6, 6)), np.empty(6)
-            fit = _Fit(*kernels.equations(corners.matched, surfs.matched, T, noise, H_all, b))
-            if spurious is None:  # it hardly changes with the pose
-                spurious = np.empty((6, 6))
-                kernels.spurious_of_both(corners.matched, surfs.matched, T, noise, spurious)
-            H, b, axes = self._observed(H_all, spurious, b, fit)
-            turned_rad, moved_m, twisted_mps = kernels.advance(
-                H, prediction.information, b, T, T_back, tangents, gains, s.damping
-            )
-            if deskew_again:
-                moved_m += 0.1 * twisted_mps
-                for features in (corners, surfs):
-                    features.shift(tangents[1])
-            if moved_m < s.converged_m and turned_rad < s.converged_rad:
-                converged = True
-                break
-            unmatched_m += moved_m + s.lever_m * turned_rad
-            gate_m = max(s.gate_end_m, 0.6 * gate_m)
-        delta = tangents[1].copy()
-        return self._result(T, H, axes, prediction, converged, iterations, fit, (corners, surfs), delta)
+        state[descent.GATE_M], state[descent.UNMATCHED_M] = self._gate_m(prediction), np.inf
+        state[descent.AGAIN] = deskew_again
+        axes, seen_at = _NO_AXES, 0.0  # and in which iteration
+        arrays = (T, T_back), prediction.information, (H, b, spurious, self._in_metres), tangents, gains
+        while (end := descent.descend(corners, surfs, *arrays, (self._rules, state))) == descent.UNOBSERVED:
+            axes, seen_at = self._without_unobserved(H, spurious, b, _Fit.of(state)), state[descent.ITERATIONS]
+        if seen_at != state[descent.ITERATIONS]:
+            axes = _NO_AXES
+        fit = _Fit.of(state)
+        information, covariance = H * self._trust(fit), np.empty((6, 6))
+        if not kernels.invert(information, prediction.information, covariance):
+            raise np.linalg.LinAlgError("the information of a pose is not positive definite")
+        return RegistrationResult(
+            T_local_lidar=se3.orthonormalised(T),
+            information=information,
+            covariance=covariance,
+            converged=end == descent.CONVERGED,
+            iterations=int(state[descent.ITERATIONS]),
+            matched=fit.matched,
+            inliers=fit.inliers,
+            features=len(corners_lidar) + len(surfs_lidar),
+            error=fit.error,
+            degenerate_axes=axes,
+            delta_twist=tangents[1],
+            keyframes=_first_seen_by(corners[-1], surfs[-1]),
+        )
 
     def _gain(self, prediction: Prediction) -> Array:
         """(6,): how much of the twist that the found motion implies is believed, against the edge's own."""
@@ -149,56 +149,33 @@ class Registration:
         """Neighbouring residuals are correlated (same plane, same laser): features count for less than they are."""
         return 1.0 / (self.settings.correlation * max(fit.error**2, 0.25))
 
-    def _observed(self, H: Array, spurious: Array, b: Array, fit: _Fit) -> tuple[Array, Array, Array]:
-        """H and b without the directions that the features do not observe, and those directions (A, 6).
+    def _without_unobserved(self, H: Array, spurious: Array, b: Array, fit: _Fit) -> Array:
+        """Takes the directions that the features do not observe out of H and b, and returns them (A, 6).
 
         Solution remapping, Zhang et al., "On degeneracy of optimization-based state estimation problems", 2016, with
         the eigenvalues as information in metres at a lever arm, so that the threshold is a position's sigma. A
         direction is also unobserved when its information is of the size that noisy normals make out of nothing.
         """
-        s, trust = self.settings, self._trust(fit)
-        # no eigenvalue is below either threshold: two factorisations instead of a decomposition
-        enough = kernels.exceeds(H, self._in_metres, s.degenerate_information / trust, self._scale)
-        if enough and kernels.exceeds(H, spurious, s.degenerate_ratio, self._scale):
-            return H, b, np.zeros((0, 6))
-        scale = np.outer(self._scale, self._scale) / trust
+        s = self.settings
+        scale = np.outer(self._scale, self._scale) / self._trust(fit)
         values, vectors = np.linalg.eigh(H / scale)
         by_chance = np.einsum("ij,ik,kj->j", vectors, spurious / scale, vectors)
         weak = (values < s.degenerate_information) | (values < s.degenerate_ratio * by_chance)
         if not weak.any():
-            return H, b, np.zeros((0, 6))
+            return _NO_AXES
         # xi * scale = metres: keep only its components along the strong eigenvectors
         keep = np.diag(1 / self._scale) @ (np.eye(6) - vectors[:, weak] @ vectors[:, weak].T) @ np.diag(self._scale)
         axes = (vectors[:, weak] / self._scale[:, None]).T
-        return keep.T @ H @ keep, keep.T @ b, axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        H[:], b[:] = keep.T @ H @ keep, keep.T @ b
+        return axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
-    def _result(
-        self,
-        T: Array,
-        H: Array,
-        axes: Array,
-        prediction: Prediction,
-        converged: bool,
-        iterations: int,
-        fit: _Fit,
-        classes: tuple[_Class, _Class],
-        delta: Array,
-    ) -> RegistrationResult:
-        information = H * self._trust(fit)
-        return RegistrationResult(
-            T_local_lidar=se3.orthonormalised(T),
-            information=information,
-            covariance=np.asarray(np.linalg.inv(information + prediction.information), np.float64),
-            converged=converged,
-            iterations=iterations,
-            matched=fit.matched,
-            inliers=fit.inliers,
-            features=sum(len(c.points_lidar) for c in classes),
-            error=fit.error,
-            degenerate_axes=axes,
-            delta_twist=delta,
-            keyframes=_first_seen_by(classes),
-        )
+
+def _rules(s: RegistrationSettings) -> Array:
+    """In the order of _descent_kernels.py."""
+    points = s.point_sigma_m, s.robust_sigmas, s.correlation
+    ends = s.converged_m, s.converged_rad
+    directions = s.degenerate_information, s.degenerate_ratio
+    return np.array([s.max_iterations, s.damping, s.gate_end_m, *points, *ends, *directions, s.rematch_m, s.lever_m])
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +183,12 @@ class _Fit:
     matched: int
     inliers: int
     squares: float
+
+    @classmethod
+    def of(cls, state: Array) -> _Fit:
+        """As the last equations had it."""
+        matched, inliers, squares = state[descent.MATCHED : descent.SQUARES + 1].tolist()
+        return cls(int(matched), int(inliers), squares)
 
     @property
     def error(self) -> float:
@@ -220,35 +203,14 @@ class _Scratch:
         self._points = np.empty((2, 0, 3))
         self._fits = np.empty((0, GEOMETRY))
 
-    def of(self, count: int) -> tuple[Array, Array, Array]:
-        """Points (N, 3) twice, and fits (N, 16)."""
+    def of(self, voxels: VoxelMap, points_lidar: NDArray[np.float32], offsets_s: Array) -> tuple[NDArray, ...]:
+        """The class as _descent_kernels.py has it: what is to be matched with what, and room for it."""
+        count = len(points_lidar)
         if count > len(self._fits):
             self._points, self._fits = np.empty((2, count, 3)), np.empty((count, GEOMETRY))
-        return self._points[0, :count], self._points[1, :count], self._fits[:count]
-
-
-class _Class:
-    """The points of one feature class, and what they are matched with."""
-
-    def __init__(
-        self, voxels: VoxelMap, points_lidar: NDArray[np.float32], offsets_s: Array, scratch: _Scratch
-    ) -> None:
-        self._voxels, self._offsets_s = voxels, offsets_s
-        self._original, self._shifted, self.fits = scratch.of(len(points_lidar))
-        self._original[:] = points_lidar
-        self.points_lidar = self._original
-
-    @property
-    def matched(self) -> tuple[Array, Array]:
-        """Fits (N, 16) and the points (N, 3) as they are now."""
-        return self.fits, self.points_lidar
-
-    def match(self, T_local_lidar: Array, gate_m: float) -> None:
-        self._voxels.match(self.points_lidar, T_local_lidar, gate_m, self.fits)
-
-    def shift(self, delta_twist: Array) -> None:
-        kernels.deskew_again(self._original, self._offsets_s, delta_twist, self._shifted)
-        self.points_lidar = self._shifted
+        original, shifted = self._points[:, :count]
+        original[:] = points_lidar
+        return *voxels.arrays, original, shifted, offsets_s, self._fits[:count]
 
 
 def deskew_again(points_lidar: NDArray[Real], offsets_s: Array, delta_twist: Array) -> NDArray[Real]:
@@ -258,10 +220,11 @@ def deskew_again(points_lidar: NDArray[Real], offsets_s: Array, delta_twist: Arr
     return moved
 
 
-def _first_seen_by(classes: tuple[_Class, _Class]) -> NDArray[np.int64]:
-    """Quantiles of the keyframes that the matched voxels are from; empty without a match."""
-    first = np.concatenate([np.zeros(0), *(c.fits[c.fits[:, KIND] != 0.0, KEYFRAME] for c in classes)])
+def _first_seen_by(corners: Array, surfs: Array) -> NDArray[np.int64]:
+    """Quantiles of the keyframes that the matched voxels are from, by class (N, 16); empty without a match."""
+    first = np.empty(len(corners) + len(surfs), np.int64)
+    first = first[: kernels.first_seen(corners, surfs, first)]
     if not len(first):
-        return np.zeros(0, np.int64)
+        return first
     first.sort()
-    return first[np.rint(_QUANTILES * (len(first) - 1)).astype(np.int64)].astype(np.int64)
+    return first[np.rint(_QUANTILES * (len(first) - 1)).astype(np.int64)]

@@ -50,6 +50,11 @@ class VoxelMap:
         self.used = 0
 
     @property
+    def arrays(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Slots, moments, geometry, rules, see _kernels.py: for kernels that match."""
+        return self.slots, self.moments, self._geometry, self.rules
+
+    @property
     def keys(self) -> NDArray[np.int64]:
         """(R,) of each row, see _kernels.py; -1 for those that are free."""
         keys, live = np.full(len(self.moments), -1), self.slots[:, 0] != -1

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from map_service.__main__ import app
 from map_service.catalog import Catalog
+from map_service.command import app
 from map_service.store import Store
 from tests.conftest import ROOT
 from tests.docs.pages import shell_lines

@@ -36,6 +36,45 @@ def normal_equations(points, T, fits, noise):
     return H, b
 
 
+def equation_fits(rows):
+    """What `normal_equations` takes of matched voxels' geometry (N, 16), see splitslam/registration/_kernels.py."""
+    return [(g[13], g[:3], g[3:6], *((g[7], g[6]) if g[9] == 1.0 else (g[8], g[7])), g[9] == 1.0) for g in rows]
+
+
+def descent(classes, T_start, prior, gains, settings, gate_m, again):
+    """Step by step, with every matrix inverted; classes: (voxels, points, times). T and the number of iterations."""
+    from splitslam import se3
+
+    s, T, twist, unmatched_m = settings, T_start, np.zeros(6), np.inf
+    points, fits = [c[1] for c in classes], [np.empty((len(c[1]), 16)) for c in classes]
+    for iteration in range(1, s.max_iterations + 1):
+        if unmatched_m > s.rematch_m:
+            for (voxels, _, _), p, f in zip(classes, points, fits, strict=True):
+                voxels.match(p, T, gate_m, f)
+            unmatched_m = 0.0
+        H, b = np.zeros((6, 6)), np.zeros(6)
+        for p, f in zip(points, fits, strict=True):
+            d = p @ T[:3, :3].T + T[:3, 3] - f[:, :3]
+            along = np.sum(d * f[:, 3:6], axis=1)
+            square = np.where(f[:, 9] == 1.0, along**2, np.sum(d**2, axis=1) - along**2)
+            near = (f[:, 9] != 0.0) & (square <= gate_m**2)
+            part = normal_equations(p[near], T, equation_fits(f[near]), (s.point_sigma_m, s.robust_sigmas))
+            H, b = H + part[0], b + part[1]
+        A = H + prior
+        step = np.linalg.inv(A + s.damping * np.diag(np.diag(A))) @ (b - prior @ se3.log(se3.inv(T_start) @ T))
+        T, before = T @ se3.exp(step), twist
+        twist = gains[0] * se3.log(se3.inv(T_start) @ T)
+        turned_rad, moved_m = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        if again:
+            moved_m += 0.1 * np.linalg.norm((twist - before) * gains[1])
+            points = [p + t[:, None] * (twist[3:] + np.cross(twist[:3], p)) for _, p, t in classes]
+        if moved_m < s.converged_m and turned_rad < s.converged_rad:
+            break
+        unmatched_m += moved_m + s.lever_m * turned_rad
+        gate_m = max(s.gate_end_m, 0.6 * gate_m)
+    return T, iteration
+
+
 def spurious_information(points, T, fits, noise, draws: int, rng: np.random.Generator) -> np.ndarray:
     """By drawing axes that waver as fits of n points do; fits: (n, mean, axes (3, 3) in columns, variances, is_plane).
 
