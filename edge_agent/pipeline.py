@@ -113,10 +113,10 @@ class EdgePipeline:
         """A copy of the image, which the next scan overwrites."""
         points = FeatureSet(
             image.points_lidar.copy(),
-            image.ring.copy(),
+            image.ring,
             image.column.copy(),
-            image.t_offset_ns.copy(),
-            image.intensity.copy(),
+            image.scan.t_offset_ns[image.source],
+            image.scan.intensity[image.source],
         )
         return WholeScan(frame.seq, frame.stamp_ns, frame.motion, points, self.beam_elevations_rad, self.columns)
 

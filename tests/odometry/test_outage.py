@@ -19,12 +19,14 @@ from tests.odometry.made import SCAN_NS, answer, frame, pose, without_points
 KNOWN, SILENT = 20, 15  # scans
 
 
-def steady(reply: OdometryReply) -> np.ndarray:
+def steady(reply: OdometryReply | None) -> np.ndarray:
     """What the Imu node takes in."""
+    assert reply is not None
     return se3.inv(reply.T_map_odom) @ reply.T_map_lidar
 
 
-def off_m(reply: OdometryReply) -> float:
+def off_m(reply: OdometryReply | None) -> float:
+    assert reply is not None
     return float(np.linalg.norm((se3.inv(pose(reply.seq)) @ steady(reply))[:3, 3]))
 
 
@@ -102,13 +104,14 @@ def test_what_the_imu_node_is_told_goes_on_when_the_service_is_back_and_the_map_
         assert outages.on_frame(frame(seq)) == []
         reply, correction = outages.on_answer(answer(seq, drift, jump))
         assert correction is None
+        assert reply is not None
         assert off_m(reply) < 2 * bars.EDGE_ODOMETRY_M  # the robot's own frame goes on
         np.testing.assert_allclose(reply.T_map_lidar, jump @ drift @ pose(seq))  # and `map` is the service's
 
 
 def test_without_any_answer_the_edge_begins_where_it_stands_and_the_service_puts_it_on_the_map_later():
     outages = Outages(OdometrySettings())
-    count = 40
+    count, told = 40, None
     replies = alone(outages, first=1, count=count)
     assert outages.alone
     assert replies[0].seq == 2  # the first scan is what the others are matched against
