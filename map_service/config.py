@@ -122,7 +122,7 @@ class PosesConfig(Model):
     """How long poses of scans are kept as they are (map_service/block_keeping.py)."""
 
     full_rate_h: float = Field(default=0.5, ge=0, description="hours of the session; older ones are thinned; 0: never")
-    within_m: float = Field(default=0.005, ge=0.0005, le=0.1, description="so near are thinned poses to what they were")
+    within_m: float = Field(default=0.003, ge=0.0005, le=0.1, description="so near are thinned poses to what they were")
     within_deg: float = Field(default=0.05, ge=0.01, le=2.0, description="the same, of rotations")
     upgrade_h: float = Field(
         default=24.0, ge=0, description="so long replicas of before blocks may run beside this one"
