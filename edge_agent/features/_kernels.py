@@ -85,7 +85,7 @@ def candidates(d, ring_start, corner, flat, sectors, marks, sector):
     for row in range(len(ring_start) - 1):
         start = np.int64(ring_start[row]) + _EDGE
         length = np.int64(ring_start[row + 1]) - 6 - start
-        if length <= 0:
+        if length <= 0 or sectors == 0:
             continue
         for j in range(sectors):
             sector[start + length * j // sectors : start + length * (j + 1) // sectors] = j

@@ -16,7 +16,7 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
-MODULES = ("types", "session", "local", "pose", "view")
+MODULES = ("types", "session", "local", "pose", "view", "dense")
 
 
 def messages() -> Iterator[Message]:
