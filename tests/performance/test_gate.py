@@ -22,7 +22,7 @@ COVERED = {
     "features": "edge_agent.features._thinning_kernels.",
     "encoding": "splitslam.codec.",
     "decoding": "decode:splitslam.codec.",
-    "registration": "splitslam.registration._kernels.",
+    "registration": "splitslam.registration._descent_kernels.",
     "IMU": "edge_agent.imu._kernels.",
 }
 
