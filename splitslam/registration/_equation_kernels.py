@@ -14,8 +14,6 @@ from numba import njit
 from splitslam._se3_kernels import exp, log, multiply
 from splitslam.registration._kernels import COUNT, FASTMATH, KEYFRAME, KIND, PLANE
 
-SPOKESMEN = 256
-
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
 def transform(T, points, out):
@@ -134,18 +132,16 @@ def spurious(fits, points_lidar, T, noise, H):
 
     A plane's normal wavers about its in-plane axes j with variance l_min / (n l_j), a line's direction about both
     others with l_mid / (n l_max): a smooth tunnel's walls seem to say where along it the sensor is. Variances of
-    principal axes to first order: Jolliffe, "Principal Component Analysis", 2002, section 3.6. Of many features some,
-    evenly chosen, speak for all: `SPOKESMEN` at least.
+    principal axes to first order: Jolliffe, "Principal Component Analysis", 2002, section 3.6.
     """
     J = np.empty(6)
-    every = max(len(points_lidar) // SPOKESMEN, 1)
-    for k in range(0, len(points_lidar), every):
+    for k in range(len(points_lidar)):
         g = fits[k]
         if g[KIND] == 0.0:
             continue
         px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
         square, variance = offset_from_fit(g, T, px, py, pz, noise[0])[4:]
-        weight = every / ((1.0 + square / (variance * noise[1] * noise[1])) * variance)
+        weight = 1.0 / ((1.0 + square / (variance * noise[1] * noise[1])) * variance)
         thin = g[6] if g[KIND] == PLANE else g[7]
         tilt = max(thin, 2.5e-5) / max(g[COUNT] - 3.0, 1.0)
         for row in range(2):
