@@ -17,13 +17,17 @@ BEGIN
     VALUES (NEW.session_id, NEW.epoch, NEW.last_seq, NEW.finished, pg_current_xact_id());
     RETURN NULL;
 END $$ LANGUAGE plpgsql;
-CREATE TRIGGER chaos_note AFTER INSERT OR UPDATE OF epoch, last_seq, finished ON sessions FOR EACH ROW EXECUTE FUNCTION chaos_note();
+CREATE TRIGGER chaos_note AFTER INSERT OR UPDATE OF epoch, last_seq, finished ON sessions
+    FOR EACH ROW EXECUTE FUNCTION chaos_note();
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One committed write of an owner to a session's row, in the order of the row's lock. Housekeeping only books bytes."""
+    """One committed write of an owner to a session's row, in the order of the row's lock.
+
+    Housekeeping, which owns nothing, only books bytes there.
+    """
 
     session_id: str
     epoch: int
