@@ -48,6 +48,7 @@ class _Robot:
         self._call = self._channel.stream_stream(_METHOD)(metadata=((ROUTE_KEY, route_key(hello)),))
         self._window, self._changed = 1, asyncio.Event()
         self._listener: asyncio.Task[None] | None = None
+        self._closing = False
 
     async def connect(self) -> None:
         """Until Welcome. Raises TimeoutError, grpc.RpcError."""
@@ -81,6 +82,8 @@ class _Robot:
                     account.complain(f"{kind} after {len(account.answered_s)} answers")
                 self._changed.set()
         except grpc.RpcError as error:
+            if self._closing:  # our own cancelling, which a stream that has just ended tells as an error
+                return
             account.complain(f"the stream broke: {error.code().name}: {error.details()}")
         self._changed.set()
 
@@ -125,6 +128,7 @@ class _Robot:
                 await self._changed.wait()
 
     async def close(self) -> None:
+        self._closing = True
         self._call.cancel()
         if self._listener is not None:
             await asyncio.gather(self._listener, return_exceptions=True)
