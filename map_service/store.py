@@ -252,8 +252,10 @@ class Store:
         return found
 
     def answers(self, key: int, *, last: int = 0, seq: int = 0) -> list[StoredAnswer]:
-        """The newest `last` answers and, if all of those were rejections, the newest one that was none; or that of frame
-        `seq`. In seq order."""
+        """The newest `last` answers and, if those are rejections, the newest that is none; or that of frame `seq`.
+
+        In seq order.
+        """
         with self.reading() as connection:
             scans = SessionScans(connection, key)
             found = scans.newest(last) if not seq else [one] if (one := scans.one(seq)) else []

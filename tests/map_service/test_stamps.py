@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import grpc
 
-from tests.map_service.test_stream import Connect
 from tests.map_service.fakes import payload
 from tests.map_service.harness import STAMP_0_NS, Service, frame
+from tests.map_service.test_stream import Connect
 
 ODOM_M = 0.5  # T_map_odom of the fake pipeline
 DAY_NS = 86_400_000_000_000
