@@ -54,6 +54,9 @@ def refusal_word(refused: pb.Refused) -> str:
     return pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
 
 
+_HIGHEST_M = 1e5  # as the first fix of a session, one far beyond would leave nothing of all that come after it
+
+
 def fixes_from_wire(messages: list[types_pb.GnssFix]) -> tuple[list[GnssFix], int]:
     """Fixes that can be used, and how many could not."""
     fixes = [_fix(m) for m in messages if _usable(m)]
@@ -66,6 +69,7 @@ def _usable(m: types_pb.GnssFix) -> bool:
         all(math.isfinite(v) for v in values)
         and abs(m.latitude_deg) <= 90
         and abs(m.longitude_deg) <= 180
+        and abs(m.altitude_m) <= _HIGHEST_M
         and len(m.covariance_enu_m2) in (0, 9)
     )
 
