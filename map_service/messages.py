@@ -12,6 +12,8 @@ from splitslam.scan import GnssFix
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types_pb
 
+_HIGHEST_M = 1e5  # of a fix: one far beyond, as a session's first, would leave nothing of all that come after it
+
 
 def transform_to_wire(T: np.ndarray) -> types_pb.Transform:
     """(4, 4) -> Transform."""
@@ -52,9 +54,6 @@ def odometry(answer: MapAnswer) -> pb.Odometry:
 def refusal_word(refused: pb.Refused) -> str:
     """Its reason as a word: `overloaded`, `bad_hello`, ..."""
     return pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
-
-
-_HIGHEST_M = 1e5  # as the first fix of a session, one far beyond would leave nothing of all that come after it
 
 
 def fixes_from_wire(messages: list[types_pb.GnssFix]) -> tuple[list[GnssFix], int]:
