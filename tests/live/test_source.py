@@ -182,7 +182,9 @@ def test_a_stamp_that_no_ros_message_holds_is_not_kept_and_ends_no_run(stamp_ns:
     kept: list[bytes] = []
     raw = RawMessages(lambda stream, arrival_ns, data: kept.append(bytes(data)))
     samples = ImuSamples(np.array([stamp_ns]), np.zeros((1, 3)), np.zeros((1, 3)))
-    scan = Scan(stamp_ns, stamp_ns, np.ones((1, 3), np.float32), *(np.zeros(1, kind) for kind in ("i4", "u1", "u1")))
+    scan = Scan(
+        stamp_ns, stamp_ns, np.ones((1, 3), np.float32), np.zeros(1, "i4"), np.zeros(1, "u1"), np.zeros(1, "u1")
+    )
     for event in (samples, scan, GnssFix(stamp_ns, 48.0, 11.0, 0.0, None)):
         raw.put(10**18, event, (), 0)
     assert not kept
