@@ -127,8 +127,8 @@ def test_gps_time_is_utc_and_taken_while_it_is_locked():
 @pytest.mark.parametrize(("week", "second"), [(65_535, 1.0), (0, 604_799.0), (2300, float("nan")), (2300, -1.0)])
 def test_whatever_a_receiver_says_of_the_time_ends_nothing(week: int, second: float):
     feed = made_feed()
-    for clock in ({}, {"reference_ns": 2**64 - 1}, {"reference_ns": 7}):
-        (reading,) = feed.take(mip_sample(gps=(second, week, 0b111), **clock), 10**18)
+    for reference_ns in (None, 2**64 - 1, 7):
+        (reading,) = feed.take(mip_sample(gps=(second, week, 0b111), reference_ns=reference_ns), 10**18)
         assert isinstance(reading.event, ImuSamples)
 
 
