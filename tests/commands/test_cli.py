@@ -105,6 +105,7 @@ def test_run_prints_key_figures_and_where_the_page_is(options: RunOptions):
     assert err == "lidar.topic: /points chosen\n"
     assert "12 of 13 (1 dropped)" in out
     assert "dropped: 1 x nan" in out
+    assert "lost in 3 scans: `splitslam check` tells whether the robot file is wrong" in out
     assert out.splitlines()[-1].strip() == str(options.out / "report.html")
 
 
