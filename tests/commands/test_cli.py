@@ -95,6 +95,13 @@ def test_eval_prints_the_keys_of_the_conventions(tmp_path: Path):
     assert "run too short" in out
 
 
+def test_a_program_without_arguments_shows_its_help_and_no_mistake():
+    exit_code, out, err = finished()
+    assert exit_code == 2
+    assert "Usage: splitslam" in out + err
+    assert "(see `splitslam --help`)" not in err
+
+
 def run_arguments(options: RunOptions) -> list[object]:
     return ["run", options.recording, "--robot", options.robot, "--out", options.out]
 
