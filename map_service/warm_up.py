@@ -12,7 +12,7 @@ from map_service.store import Opening
 from map_service.wide_search import WideSearch
 from splitslam import codec
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
-from splitslam.registration.align import Registration
+from splitslam.registration.align import Registration, deskew_again
 from splitslam.registration.local_map import LocalMap
 from splitslam.robot import Robot
 from splitslam.wire import session_pb2 as pb
@@ -38,7 +38,9 @@ def warm_up(engine: SlamEngine) -> None:
     settings = TrackerSettings()
     search = WideSearch(settings.search, Registration(settings.registration))
     search.places(LocalMap(settings.local_map), _frame(1, beams), np.eye(4))  # a lost robot waits for no compiler
-    PlaceIndex(PlaceSettings()).add(_frame(1, beams).surfs.points_lidar)  # nor does the first keyframe's
+    surfs = _frame(1, beams).surfs
+    PlaceIndex(PlaceSettings()).add(surfs.points_lidar)  # nor does the first keyframe's
+    deskew_again(surfs.points_lidar, surfs.t_offset_ns * 1e-9, np.ones(6))
 
 
 def _frame(seq: int, beams_rad: np.ndarray) -> FeatureFrame:
