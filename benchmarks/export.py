@@ -106,6 +106,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="where there is room")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.out is not None:
+        given.out.mkdir(parents=True, exist_ok=True)
     points = round(given.points * 1e6)
     if given.one:
         from dataclasses import asdict

@@ -25,8 +25,9 @@ DROP_REASONS = (
     *_OF_A_STREAM,
     # a message of any live sensor, from before its clock was locked
     "clock_changed",
+    "clock_unknown",
     # messages of the other sensors
-    *("imu_nan", *(f"imu_{reason}" for reason in _OF_A_STREAM)),
+    *("imu_nan", "imu_range", *(f"imu_{reason}" for reason in _OF_A_STREAM)),
     *("wheel_nan", "wheel_range", *(f"wheel_{reason}" for reason in _OF_A_STREAM)),
     *("gnss_nan", "gnss_no_fix", *(f"gnss_{reason}" for reason in _OF_A_STREAM)),
     # a frame

@@ -69,11 +69,16 @@ class CloudShelf:
         self._mine = self._in_hand.setdefault(own.run_id, InHand(path / own.run_id / _IN_HAND))
 
     def _inherit(self, folder: Path) -> None:
-        for file in sorted(folder.iterdir()):
-            if file.suffix in (".new", ".key") and file.stem.isdecimal():
-                self._add(Kept(folder.name, int(file.stem), file.stat().st_size, file.suffix == ".key", True))
-            elif file.suffix == ".part":
-                file.unlink(missing_ok=True)
+        try:
+            files = sorted(file for file in folder.iterdir() if file.is_file())
+            for file in files:
+                if file.suffix in (".new", ".key") and file.stem.isdecimal():
+                    self._add(Kept(folder.name, int(file.stem), file.stat().st_size, file.suffix == ".key", True))
+                elif file.suffix == ".part":
+                    file.unlink(missing_ok=True)
+        except OSError as error:  # such as another user's: what it costs is what lies there
+            self._tell(error)
+            return
         in_hand = self._in_hand[folder.name] = InHand(folder / _IN_HAND)
         for seq, stamp_ns in list(in_hand.stamps_ns.items()):
             if (folder.name, seq) in self._files:
@@ -141,14 +146,14 @@ class CloudShelf:
         run_id = own if any(f.run_id == own for f in due) else due[0].run_id
         return sorted((f for f in due if f.run_id == run_id), key=lambda f: f.seq)
 
-    def opening(self, run_id: str) -> pb.UploadOpen | None:
-        """Whose clouds they are; None when it cannot be read."""
-        if run_id == self._own.run_id:
-            return self._own
-        try:
-            return pb.UploadOpen.FromString((self._path / run_id / "open").read_bytes())
-        except (OSError, DecodeError):
-            return None
+    def opening(self, run_id: str) -> pb.UploadOpen:
+        """Whose clouds they are. A file that a power cut has emptied is made up for: the folder is this robot's."""
+        if run_id != self._own.run_id:
+            with contextlib.suppress(OSError, DecodeError):
+                said = pb.UploadOpen.FromString((self._path / run_id / "open").read_bytes())
+                if said.run_id == run_id:
+                    return said
+        return pb.UploadOpen(robot_id=self._own.robot_id, run_id=run_id, site_id=self._own.site_id)
 
     def read(self, file: Kept) -> bytes | None:
         """The cloud; None, and gone, when it is not here any more or cannot be read."""
@@ -201,14 +206,10 @@ class CloudShelf:
 
     def _write(self, file: Kept, cloud: bytes) -> bool:
         folder = self._path / file.run_id
-        part = folder / f"{file.seq:08d}.part"
         try:
             self._make_folder()
-            part.write_bytes(cloud)
-            part.replace(folder / file.name)
+            _write_whole(folder / file.name, cloud)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
             self.dropped["disk"] += 1
             self._tell(error)
             return False
@@ -219,7 +220,7 @@ class CloudShelf:
         opening = self._path / self._own.run_id / "open"
         if not opening.exists():
             opening.parent.mkdir(parents=True, exist_ok=True)
-            opening.write_bytes(self._own.SerializeToString())
+            _write_whole(opening, self._own.SerializeToString())
 
     def _mark(self, file: Kept) -> None:
         before = self._path / file.run_id / file.name
@@ -263,3 +264,15 @@ class CloudShelf:
         if not self._failing:
             self._failing = True
             _log.error("dense clouds: disk fails", extra=fields(folder=str(self._path), detail=str(error)))
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """All of it under its name, or nothing. Raises OSError."""
+    part = path.with_suffix(".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise

@@ -73,6 +73,50 @@ def test_runs_of_before_come_after_the_own_one_and_leave_nothing_behind(tmp_path
     assert (here.waiting, dict(here.dropped)) == (0, {})
 
 
+@pytest.mark.parametrize("left", [b"", b"\x0a\x07rov", None], ids=["empty", "half", "none"])
+def test_a_run_whose_opening_was_lost_in_a_power_cut_is_told_by_its_folder_and_its_robot(
+    tmp_path: Path, left: bytes | None
+):
+    old, own = opening(), opening()
+    shelf(tmp_path, old).put(5, b"old", is_key=True)
+    file = tmp_path / "dense" / old.run_id / "open"
+    file.unlink() if left is None else file.write_bytes(left)
+    here = shelf(tmp_path, own)
+    (kept,) = here.due(NEVER_S)
+    assert here.opening(kept.run_id) == old
+
+
+def test_a_disk_that_is_full_at_the_first_cloud_leaves_no_half_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    own = opening()
+    here = shelf(tmp_path, own)
+
+    def torn(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[:3])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", torn)
+        here.put(1, b"one")
+    here.put(2, b"two")
+    assert here.dropped == {"disk": 1}
+    folder = tmp_path / "dense" / own.run_id
+    assert pb.UploadOpen.FromString((folder / "open").read_bytes()) == own
+    assert sorted(file.name for file in folder.iterdir()) == ["00000002.new", "open"]
+
+
+def test_what_lies_in_the_folder_and_is_none_of_ours_stops_no_agent(tmp_path: Path):
+    (tmp_path / "dense").mkdir()
+    (tmp_path / "dense" / opening().run_id).write_text("a file where a run's folder should be")
+    (tmp_path / "dense" / opening().run_id / "00000001.key").mkdir(parents=True)
+    here = shelf(tmp_path)
+    here.put(1, b"one", is_key=True)
+    while kept := here.due(NEVER_S):
+        assert here.read(kept[0]) in (b"one", None)
+        here.done(kept[0])
+    assert here.waiting == 0
+
+
 def test_a_disk_that_is_full_costs_counted_clouds_until_it_takes_them_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -19,6 +19,7 @@ from edge_agent.reader import EventQueue, Reader
 from edge_agent.sources import open_recording
 from edge_agent.sources.live import udp_port
 from edge_agent.sources.live.opening import open_live
+from edge_agent.sources.live.raw_messages import RawMessages
 from splitslam.diagnose.raw import write_raw
 from splitslam.errors import InputError
 from splitslam.robot import Robot
@@ -173,6 +174,22 @@ def test_raw_scans_of_a_live_run_give_the_same_scans_again(tmp_path: Path):
     samples = ImuSamples.joined([event for event in again if isinstance(event, ImuSamples)])
     np.testing.assert_array_equal(samples.stamps_ns, ImuSamples.joined(listener.of(ImuSamples)).stamps_ns)
     np.testing.assert_allclose(samples.accel_mps2, ImuSamples.joined(listener.of(ImuSamples)).accel_mps2)
+
+
+@pytest.mark.parametrize("stamp_ns", [-1, (315_964_800 + 5000 * 604_800) * 10**9, 2**62])
+def test_a_stamp_that_no_ros_message_holds_is_not_kept_and_ends_no_run(stamp_ns: int, caplog: pytest.LogCaptureFixture):
+    kept: list[bytes] = []
+    raw = RawMessages(lambda stream, arrival_ns, data: kept.append(bytes(data)))
+    samples = ImuSamples(np.array([stamp_ns]), np.zeros((1, 3)), np.zeros((1, 3)))
+    scan = Scan(
+        stamp_ns, stamp_ns, np.ones((1, 3), np.float32), np.zeros(1, "i4"), np.zeros(1, "u1"), np.zeros(1, "u1")
+    )
+    for event in (samples, scan, GnssFix(stamp_ns, 48.0, 11.0, 0.0, None)):
+        raw.put(10**18, event, (), 0)
+    assert not kept
+    assert [event for event, _ in said(caplog)] == ["raw messages not kept"]
+    raw.put(10**18, ImuSamples(np.array([10**18]), np.zeros((1, 3)), np.zeros((1, 3))), (), 0)
+    assert len(kept) == 1
 
 
 @pytest.mark.parametrize(
