@@ -202,7 +202,7 @@ def test_a_lost_answer_to_bye_still_ends_the_run():
     with service, uplink_to(service.address) as uplink:
         send_all(uplink, 3)
         service.finished = True
-        stream = uplink._stream
+        stream = uplink._shared.stream
         assert stream is not None
         stream._call.cancel()
         assert uplink.finish(3) is not None
