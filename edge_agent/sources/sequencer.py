@@ -16,6 +16,8 @@ from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
 _MAX_WAITING = 20
+# What is beyond is no measurement, and one of it would throw `odom` away for good: 5,700 deg/s, 100 g.
+_MOST_RADPS, _MOST_MPS2 = 100.0, 1000.0
 _log = logging.getLogger(__name__)
 Item = ImuSamples | WheelSamples | ScanPacket
 
@@ -27,7 +29,7 @@ class Sequencer:
     samples is split there. Wheel odometry passes as it comes, fixes go with the next packet. Without an IMU a scan
     passes straight through.
     dropped: messages left out by reason: duplicate, time_backwards, time_jump, nan, empty; with the prefix `imu_`,
-    `wheel_` or `gnss_` for those streams.
+    `wheel_` or `gnss_` for those streams; imu_range.
     uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended. A scan
     waits for it until 20 do; then none does, until it is back. Samples for the time of a scan that is gone are dropped.
     times: steps of the sensors' clocks, which do not reach the run.
@@ -65,7 +67,7 @@ class Sequencer:
 
     def push_imu(self, samples: ImuSamples, arrivals_ns: Sequence[int]) -> list[Item]:
         """The same as one `push` for each of the samples, cheaper where time simply goes on in them."""
-        if self._goes_on(samples) and _is_finite(samples):
+        if self._goes_on(samples) and _is_usable(samples):
             passed = self._imu_clock.admit_run(samples.stamps_ns.tolist(), samples, arrivals_ns)
             return self._emit(passed)
         out: list[Item] = []
@@ -102,14 +104,18 @@ class Sequencer:
 
     def _push_imu(self, samples: ImuSamples, arrival_ns: int | None) -> list[Item]:
         out: list[Item] = []
-        if not _is_finite(samples):
-            finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
-            self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
-            samples = _take(samples, finite)
+        if not _is_usable(samples):
+            samples = self._usable(samples)
         for run in self._runs(samples) if len(samples) else []:
             for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run, arrival_ns):
                 out.extend(self._emit(passed))
         return out
+
+    def _usable(self, samples: ImuSamples) -> ImuSamples:
+        usable = np.array([_is_usable(_slice(samples, k, k + 1)) for k in range(len(samples))])
+        for gyro, accel in zip(samples.gyro_radps[~usable], samples.accel_mps2[~usable], strict=True):
+            self.dropped["imu_range" if np.isfinite([gyro, accel]).all() else "imu_nan"] += 1
+        return _take(samples, usable)
 
     def _runs(self, samples: ImuSamples) -> list[ImuSamples]:
         """The chunk as it is when time simply goes on in it, else its samples one by one."""
@@ -153,8 +159,10 @@ class Sequencer:
         return packet
 
 
-def _is_finite(samples: ImuSamples) -> bool:
-    return bool(np.isfinite(samples.gyro_radps).all() and np.isfinite(samples.accel_mps2).all())
+def _is_usable(samples: ImuSamples) -> bool:
+    """Finite, and within what a sensor measures."""
+    gyro, accel = np.abs(samples.gyro_radps), np.abs(samples.accel_mps2)
+    return bool((gyro <= _MOST_RADPS).all() and (accel <= _MOST_MPS2).all())  # false for NaN
 
 
 def _take(samples: ImuSamples, keep: NDArray[np.bool_]) -> ImuSamples:
