@@ -179,7 +179,7 @@ def pack(message: Any) -> bytes:
     return HEADER.pack(len(body)) + body
 
 
-def unpack(body: bytes | memoryview) -> Any:
+def unpack(body: bytes | bytearray) -> Any:
     """What `pack` made, without its header."""
     number, *values = pickle.loads(body)
     return _KINDS[number](*values)

@@ -7,12 +7,13 @@ import numpy as np
 from map_service.engine import SlamEngine
 from map_service.hello import SessionRequest
 from map_service.places import PlaceIndex
+from map_service.scan_alignment import deskewed_again
 from map_service.settings import PlaceSettings, TrackerSettings
 from map_service.store import Opening
 from map_service.wide_search import WideSearch
 from splitslam import codec
 from splitslam.features import FeatureFrame, FeatureSet, Knots, Motion
-from splitslam.registration.align import Registration, deskew_again
+from splitslam.registration.align import Registration
 from splitslam.registration.local_map import LocalMap
 from splitslam.robot import Robot
 from splitslam.wire import session_pb2 as pb
@@ -40,7 +41,7 @@ def warm_up(engine: SlamEngine) -> None:
     search.places(LocalMap(settings.local_map), _frame(1, beams), np.eye(4))  # a lost robot waits for no compiler
     surfs = _frame(1, beams).surfs
     PlaceIndex(PlaceSettings()).add(surfs.points_lidar)  # nor does the first keyframe's
-    deskew_again(surfs.points_lidar, surfs.t_offset_ns * 1e-9, np.ones(6))
+    deskewed_again(surfs, np.ones(6))
 
 
 def _frame(seq: int, beams_rad: np.ndarray) -> FeatureFrame:

@@ -42,7 +42,7 @@ def pack(level, ix, iy, iz):
 
 @njit(cache=True, nogil=True, inline="always")
 def home_of(slots, key):
-    """Where `key` is looked for first: its place among eight, which begin where a hash says (multiply, fold, multiply)."""
+    """Where `key` is looked for first: its place among eight, which begin where a hash (multiply, fold) says."""
     h = np.uint64(key & ~_LAST_BITS) * np.uint64(0x9E3779B97F4A7C15)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
     among = ((key >> 38) & 4) | ((key >> 19) & 2) | (key & 1)

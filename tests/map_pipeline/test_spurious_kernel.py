@@ -28,7 +28,8 @@ def test_spurious_information_is_what_wavering_axes_make(kind):
     equations.spurious(matched, lidar, T, noise, H)
     fits = []
     for g in matched[hit]:
-        normal, longest = (g[3:6], g[kernels.LONGEST : kernels.LONGEST + 3]) if kind == kernels.PLANE else (None, g[3:6])
+        longest = g[kernels.LONGEST : kernels.LONGEST + 3]
+        normal, longest = (g[3:6], longest) if kind == kernels.PLANE else (None, g[3:6])
         if normal is None:
             normal = np.linalg.svd(longest[None])[2][1]
         axes = np.column_stack([normal, np.cross(longest, normal), longest])

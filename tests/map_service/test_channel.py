@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from map_service import channel
-from map_service.channel import Close, Drained, DrainAll, Open, Ready, Request, WorkerEnd
+from map_service.channel import Close, DrainAll, Drained, Open, Ready, Request, WorkerEnd
 from map_service.worker import Worker
 
 Ends = tuple[socket.socket, WorkerEnd]
@@ -60,9 +60,9 @@ class Host:
         self.handled: list[tuple[Any, set[int]]] = []
         self.sessions = SimpleNamespace(
             committing=False,
-            durable=lambda: {},
-            states=lambda: {},
-            take_released=lambda: [],
+            durable=dict,
+            states=dict,
+            take_released=list,
             undurable_frames=0,
         )
         self.tally = SimpleNamespace(take=lambda: ({}, []))
