@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.sources._kernels import all_finite, goes_on
 from edge_agent.sources.stream_clock import JUMP_NS, StreamClock
 from edge_agent.sources.time_map import TimeMap
 from splitslam.logs import fields
@@ -87,7 +88,7 @@ class Sequencer:
         if len(scan) == 0:
             self.dropped["empty"] += 1
             return []
-        if not np.isfinite(scan.points_lidar).all():
+        if not all_finite(scan.points_lidar):
             self.dropped["nan"] += 1
             return []
         passed = self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan, arrival_ns)
@@ -118,8 +119,7 @@ class Sequencer:
         return [_slice(samples, k, k + 1) for k in range(len(samples))]
 
     def _goes_on(self, samples: ImuSamples) -> bool:
-        step_ns = np.diff(samples.stamps_ns)
-        return self._imu_clock.follows(int(samples.stamps_ns[0])) and bool(((step_ns > 0) & (step_ns <= JUMP_NS)).all())
+        return self._imu_clock.follows(int(samples.stamps_ns[0])) and goes_on(samples.stamps_ns, JUMP_NS)
 
     def _emit(self, samples: ImuSamples) -> list[Item]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
@@ -154,7 +154,7 @@ class Sequencer:
 
 
 def _is_finite(samples: ImuSamples) -> bool:
-    return bool(np.isfinite(samples.gyro_radps).all() and np.isfinite(samples.accel_mps2).all())
+    return all_finite(samples.gyro_radps) and all_finite(samples.accel_mps2)
 
 
 def _take(samples: ImuSamples, keep: NDArray[np.bool_]) -> ImuSamples:
