@@ -67,15 +67,18 @@ class ImuNode:
 
     # --- IMU rate ---------------------------------------------------------------------------------------------
 
-    def add_imu(self, samples: ImuSamples) -> OdomPoses:
-        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan)."""
+    def add_imu(self, samples: ImuSamples, later: bool = False) -> OdomPoses:
+        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan).
+
+        later: there are more to come at once, whose poses will have these before them.
+        """
         if len(samples) == 0:
             return no_poses()
         if self._anchor is not None and self.gaps.between(self.buffer.last_ns, int(samples.stamps_ns[0])):
             self._bridge(int(samples.stamps_ns[0]) - 1, samples.gyro_radps[0])
         self.gaps.seen(samples.stamps_ns)
         self.buffer.append(samples)
-        if self._anchor is None:
+        if self._anchor is None or later:
             return no_poses()
         return self._propagate(int(samples.stamps_ns[-1]))
 
