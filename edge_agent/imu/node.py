@@ -301,7 +301,8 @@ class ImuNode:
 
     def _axes_imu(self, reply: OdometryReply) -> Array:
         """The unobserved directions (A, 6) of the IMU's pose: the LiDAR's, moved by the extrinsics."""
-        return reply.degenerate_axes @ se3.adjoint(self.T_imu_lidar).T
+        axes = reply.degenerate_axes
+        return axes @ se3.adjoint(self.T_imu_lidar).T if len(axes) else axes
 
     def _wheels_at_scan(self, window: ImuWindow) -> WheelVelocity | None:
         if self.wheels is None:
