@@ -18,6 +18,7 @@ from edge_agent.pacer import Pacer
 from edge_agent.recoding import Recoding
 from edge_agent.spool import Spool
 from edge_agent.wire import Answer, answer, state_name
+from splitslam.enums import value_name
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
@@ -214,8 +215,8 @@ class Dialogue:
             self._on_advice(response.advice)
         elif kind == "drain":
             self.replica = response.drain.replica
-            text = f"drain: {pb.DrainReason.Name(response.drain.reason)}"
-            self._end(Ending("drain", text), response.drain.retry_after_ms)
+            reason = value_name(pb.DrainReason, response.drain.reason, "DRAIN_REASON_")
+            self._end(Ending("drain", f"drain: {reason}"), response.drain.retry_after_ms)
         elif kind == "refused":
             self._on_refused(response.refused)
         elif kind == "finished":
@@ -275,7 +276,7 @@ class Dialogue:
         return min(limits, default=None)
 
     def _on_refused(self, refused: pb.Refused) -> None:
-        name = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
+        name = value_name(pb.RefusedReason, refused.reason, "REFUSED_REASON_")
         if refused.reason == pb.REFUSED_REASON_FINISHED and self.bye is not None:
             self.finished = pb.Finished()  # the answer to our Bye was lost with the stream before
         elif refused.retry_after_ms == 0:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from edge_agent.types import EncodedFrame, OdometryReply
 from splitslam import se3
+from splitslam.enums import value_name
 from splitslam.scan import GnssFix
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
@@ -35,8 +36,7 @@ class Answer:
 
 def state_name(state: int) -> str:
     """`tracking`, `lost`, ...; the number itself when a later service has another one."""
-    known = types.TrackingState.DESCRIPTOR.values_by_number.get(state)
-    return str(state) if known is None else known.name.removeprefix("TRACKING_STATE_").lower()
+    return value_name(types.TrackingState, state, "TRACKING_STATE_")
 
 
 def transform(T: NDArray[np.float64]) -> types.Transform:

@@ -9,15 +9,16 @@ from edge_agent.sources import _kernels as kernels
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_one_value_that_is_no_number_is_found_wherever_it_is(kind: type, wrong: float):
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 10.1, -10.1])
+def test_one_value_that_is_too_large_or_no_number_is_found_wherever_it_is(kind: type, wrong: float):
     values = np.random.default_rng(1).normal(size=(50, 3)).astype(kind)
-    assert kernels.all_finite(values)
-    assert kernels.all_finite(values[:0])
+    assert kernels.all_within(values, 10.0)
+    assert kernels.all_within(values[:0], 10.0)
     for row, column in ((0, 0), (17, 1), (49, 2)):
         spoilt = values.copy()
         spoilt[row, column] = wrong
-        assert not kernels.all_finite(spoilt)
+        assert not kernels.all_within(spoilt, 10.0)
+        assert kernels.all_within(spoilt, np.finfo(kind).max) == bool(np.isfinite(wrong))
 
 
 def test_time_goes_on_while_every_step_is_ahead_and_none_too_long():
