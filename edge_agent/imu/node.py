@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
 _LEVEL_NS = 100_000_000
 _FIRST_READING_NS = 50_000_000
+_NO_TURN = 0, np.eye(3)
 
 
 class ImuNode:
@@ -44,7 +45,7 @@ class ImuNode:
         self.T_imu_lidar = se3.inv(robot.T_lidar_imu)
         self.buffer = ImuBuffer()
         self.gaps = Gaps(robot.imu.rate_hz if robot.imu is not None else 100.0)
-        self._rate_imu = np.zeros(3)  # as the last two answers have it, rad/s
+        self._before = self._after = _NO_TURN  # (stamp_ns, R_odom_imu) of the last two answers
         self.wheels = None if robot.wheels is None else WheelAid(robot, settings)
         self.filter = MotionFilter(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
         self.output = ContinuousOutput(settings, self.T_imu_lidar)
@@ -66,15 +67,18 @@ class ImuNode:
 
     # --- IMU rate ---------------------------------------------------------------------------------------------
 
-    def add_imu(self, samples: ImuSamples) -> OdomPoses:
-        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan)."""
+    def add_imu(self, samples: ImuSamples, later: bool = False) -> OdomPoses:
+        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan).
+
+        later: there are more to come at once, whose poses will have these before them.
+        """
         if len(samples) == 0:
             return no_poses()
         if self._anchor is not None and self.gaps.between(self.buffer.last_ns, int(samples.stamps_ns[0])):
             self._bridge(int(samples.stamps_ns[0]) - 1, samples.gyro_radps[0])
         self.gaps.seen(samples.stamps_ns)
         self.buffer.append(samples)
-        if self._anchor is None:
+        if self._anchor is None or later:
             return no_poses()
         return self._propagate(int(samples.stamps_ns[-1]))
 
@@ -82,11 +86,16 @@ class ImuNode:
         """Fills a gap of the IMU; gyro_after: what it said when it came back, None while it is silent."""
         anchor = self._anchor
         assert anchor is not None
-        start_ns, rate = self.buffer.last_ns, self._rate_imu + anchor.bias[:3]
+        start_ns, rate = self.buffer.last_ns, self._rate_imu() + anchor.bias[:3]
         gyro = (rate, rate) if gyro_after is None else (self.buffer.last_gyro_radps, gyro_after)
         g = self.robot.gravity_mps2
         self.buffer.append(carried_on(start_ns, until_ns, gyro, self._live[0], anchor.bias, g), made=True)
         self.gaps.remember(start_ns, until_ns)
+
+    def _rate_imu(self) -> Array:
+        """(3,) turning rate between the last two answers, rad/s; 0 without them."""
+        (before_ns, R_before), (after_ns, R_after) = self._before, self._after
+        return se3.so3_log(R_before.T @ R_after) / (max(after_ns - before_ns, 1) * 1e-9)
 
     def _propagate(self, end_ns: int) -> OdomPoses:
         if end_ns <= self._live_ns:
@@ -275,8 +284,8 @@ class ImuNode:
             wheel = self._wheels_at_scan(window)
             noise = self._noise(anchor.stamp_ns, reply.stamp_ns)
             self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
-            turned = anchor.T_odom_imu[:3, :3].T @ self.filter.state.T_odom_imu[:3, :3]
-            self._rate_imu = se3.so3_log(turned) / ((reply.stamp_ns - anchor.stamp_ns) * 1e-9)
+            self._before = anchor.stamp_ns, anchor.T_odom_imu[:3, :3]
+            self._after = reply.stamp_ns, self.filter.state.T_odom_imu[:3, :3]
             if self.filter.failed:
                 self.resets += 1
                 self._started = False
@@ -292,7 +301,8 @@ class ImuNode:
 
     def _axes_imu(self, reply: OdometryReply) -> Array:
         """The unobserved directions (A, 6) of the IMU's pose: the LiDAR's, moved by the extrinsics."""
-        return reply.degenerate_axes @ se3.adjoint(self.T_imu_lidar).T
+        axes = reply.degenerate_axes
+        return axes @ se3.adjoint(self.T_imu_lidar).T if len(axes) else axes
 
     def _wheels_at_scan(self, window: ImuWindow) -> WheelVelocity | None:
         if self.wheels is None:
