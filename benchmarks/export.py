@@ -110,6 +110,7 @@ def main() -> None:
         given.out.mkdir(parents=True, exist_ok=True)
     points = round(given.points * 1e6)
     if given.one:
+        assert given.out is not None  # `measured` names it
         from dataclasses import asdict
 
         print(json.dumps(asdict(cost_of(given.one, points, given.voxel, given.out))))
