@@ -110,7 +110,6 @@ def main() -> None:
     given = parser.parse_args()
     points = round(given.points * 1e6)
     if given.one:
-        assert given.out is not None  # `measured` names it
         from dataclasses import asdict
 
         print(json.dumps(asdict(cost_of(given.one, points, given.voxel, given.out))))
