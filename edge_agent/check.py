@@ -43,6 +43,7 @@ class _Heard:
     scans_ns: list[int] = field(default_factory=list)
     fixes_ns: list[int] = field(default_factory=list)
     samples: list[ImuSamples] = field(default_factory=list)
+    sample_count: int = 0  # in all of them: looked at with each scan, and there are hundreds
     poses_ns: list[int] = field(default_factory=list)
     poses: list[np.ndarray] = field(default_factory=list)
     lost: int = 0
@@ -50,7 +51,7 @@ class _Heard:
     @property
     def is_much(self) -> bool:
         """More than any look needs."""
-        return sum(map(len, self.samples)) > _MOST_SAMPLES or max(len(self.scans_ns), len(self.fixes_ns)) > _MOST_SCANS
+        return self.sample_count > _MOST_SAMPLES or max(len(self.scans_ns), len(self.fixes_ns)) > _MOST_SCANS
 
     def copy(self) -> _Heard:
         return replace(
@@ -86,6 +87,7 @@ class LiveCheck:
             return
         if isinstance(event, ImuSamples):
             self._heard.samples.append(event)
+            self._heard.sample_count += len(event)
             if len(self._heard.samples) > 1000:
                 self._heard.samples = [ImuSamples.joined(self._heard.samples)]
                 self._begin_anew()
@@ -140,7 +142,7 @@ class LiveCheck:
         imu = self._robot.imu
         if imu is None:
             return found, None
-        if sum(map(len, heard.samples)) < 20:
+        if heard.sample_count < 20:
             return [*found, Finding("imu", "fewer than 20 samples so far", f"{imu.rate_hz:g} a second")], None
         came = ImuSamples.joined(heard.samples)
         found += streams.findings("imu", streams.statistics(came.stamps_ns), imu.rate_hz)
