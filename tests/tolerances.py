@@ -82,6 +82,7 @@ ODOM_STEP_M = 0.02
 ODOM_STEP_DEG = 0.3
 # Error of `odom` over a second without corrections, median.
 ALONE_1S_MEDIAN_M = 0.05
+AFTER_SILENCE_M = 0.03  # sensors off for hours where a robot stands: of its way afterwards, against that without
 # A scan of a made room against the ring of scans before it: points of 1 cm, ten to a voxel.
 EDGE_ODOMETRY_M = 0.01
 # What the issue promises while the network is away.
