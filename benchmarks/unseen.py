@@ -1,7 +1,7 @@
 """Drives and sensors of kinds that the defaults were not made with: `python -m benchmarks.unseen --help`.
 
-Odometry only, the defaults of `splitslam run`, made recordings without GNSS. Cells that are in the output folder are not
-computed again; after a change of the code give another.
+Odometry only, the defaults of `splitslam run`, made recordings without GNSS. Cells that are in the output folder are
+not computed again; after a change of the code give another.
 """
 
 from __future__ import annotations
@@ -92,7 +92,9 @@ def _row(case: Unseen, cell: dict[str, Any]) -> str:
     errors = f"{_mm(online['ate_m'])} / {_mm(final['ate_m'])}"
     nees = "-" if cell["nees"] is None else f"{cell['nees']['mean']:.2g}"
     states = ", ".join(
-        f"{share:.0%} {state}" for state, share in cell["states"].items() if state.lower() != _TRACKING and share > 0.005
+        f"{share:.0%} {state}"
+        for state, share in cell["states"].items()
+        if state.lower() != _TRACKING and share > 0.005
     )
     kept = f"{scans['mapped']} of {scans['read']}, {scans['dropped']}"
     return (

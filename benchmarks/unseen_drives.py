@@ -7,7 +7,17 @@ from dataclasses import dataclass, replace
 from splitslam.sim import DRIVES
 from splitslam.sim.grid_lidar import Grid
 from splitslam.sim.places import house, plain
-from splitslam.sim.spec import Climb, DriveSpec, HeadTurn, ImuSpec, LidarSpec, PathSpec, Perturbations, SpeedChange, WorldSpec
+from splitslam.sim.spec import (
+    Climb,
+    DriveSpec,
+    HeadTurn,
+    ImuSpec,
+    LidarSpec,
+    PathSpec,
+    Perturbations,
+    SpeedChange,
+    WorldSpec,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +70,6 @@ _CHEAP = ImuSpec(  # of the class of an MPU-6050 or BMI160
     rate_hz=100.0, gyro_noise_radps_rthz=2e-4, accel_noise_mps2_rthz=3e-3, gyro_walk_radps2_rthz=1e-4,
     accel_walk_mps3_rthz=1e-3, gyro_bias_radps=0.03, accel_bias_mps2=0.4,
 )  # fmt: skip
-
 
 
 def _walk(name: str, what: str, spec: DriveSpec = _WALK, grid: Grid | None = None, *, imu: bool = True) -> Unseen:

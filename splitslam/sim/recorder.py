@@ -103,7 +103,10 @@ def robot_file(spec: DriveSpec, grid: Grid | None = None) -> str:
         sensor = {"model": "vlp16", "topic": SCAN_TOPIC, "stamp": "start", "rings": 16, "columns": 1800}
     else:
         sensor = {"model": "generic", "topic": CLOUD_TOPIC, "stamp": "start", "rings": grid.rings}
-        sensor |= {"columns": grid.columns_a_turn, "beam_elevations_deg": [round(e, 6) for e in grid.elevations_deg.tolist()]}
+        sensor |= {
+            "columns": grid.columns_a_turn,
+            "beam_elevations_deg": [round(e, 6) for e in grid.elevations_deg.tolist()],
+        }
     robot = {
         "robot": {"id": spec.name},
         "lidar": sensor | {"rate_hz": lidar.rate_hz, "min_range_m": 0.8, "max_range_m": lidar.max_range_m},

@@ -77,9 +77,7 @@ def _fields(rng: np.random.Generator):
 
 def _road(mesh: Mesh) -> None:
     x = np.arange(-110.0, _LENGTH_M + 110.0, 2.0)
-    right, left = (
-        np.column_stack([x, _middle(x) + side, _lie(x, _middle(x) + side)]) for side in (-_ROAD_M, _ROAD_M)
-    )
+    right, left = (np.column_stack([x, _middle(x) + side, _lie(x, _middle(x) + side)]) for side in (-_ROAD_M, _ROAD_M))
     mesh.quads(np.stack([right[:-1], right[1:], left[1:], left[:-1]], axis=1), reflectivity=ASPHALT)
 
 
