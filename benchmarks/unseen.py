@@ -91,11 +91,8 @@ def _row(case: Unseen, cell: dict[str, Any]) -> str:
     final, online, scans = cell["final"], cell["online"], cell["scans"]
     errors = f"{_mm(online['ate_m'])} / {_mm(final['ate_m'])}"
     nees = "-" if cell["nees"] is None else f"{cell['nees']['mean']:.2g}"
-    states = ", ".join(
-        f"{share:.0%} {state}"
-        for state, share in cell["states"].items()
-        if state.lower() != _TRACKING and share > 0.005
-    )
+    others = {state: share for state, share in cell["states"].items() if state.lower() != _TRACKING}
+    states = ", ".join(f"{share:.0%} {state}" for state, share in others.items() if share > 0.005)
     kept = f"{scans['mapped']} of {scans['read']}, {scans['dropped']}"
     return (
         f"| `{case.name}` | {case.what} | {errors} | {_mm(final['max_m'])} | {nees} | {states or 'never'} "

@@ -1,4 +1,4 @@
-"""What the drives of `benchmarks.unseen` add to the simulator: sensors that fly, are carried level, see a part of a turn."""
+"""What the drives of `benchmarks.unseen` need: sensors that fly, are carried level, see a part of a turn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Open country: a road between fields, a post every 50 m, a tree now and then, one barn; the ground is most there is."""
+"""Open country: a road between fields, a post every 50 m, a tree now and then, one barn; mostly there is ground."""
 
 from __future__ import annotations
 
