@@ -18,6 +18,7 @@ from edge_agent.imu.filter import MotionFilter
 from edge_agent.imu.gaps import Gaps, carried_on
 from edge_agent.imu.levelling import MOVING_TILT_RAD, UNKNOWN_TILT_RAD, level, level_at
 from edge_agent.imu.output import ContinuousOutput, no_poses
+from edge_agent.imu.rest import Rest
 from edge_agent.imu.scan_motion import ScanMotion
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.state import ImuNoise, NavigationState
@@ -53,6 +54,7 @@ class ImuNode:
         self.state = INITIALISING
         self.covariance = np.eye(6)
         self.resets = 0
+        self._rest = Rest()
         self._anchor: NavigationState | None = None
         self._started = False  # the filter has its first scan
         self._blind = False  # no sample has come: nobody knows where down is
@@ -274,7 +276,10 @@ class ImuNode:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
             wheel = self._wheels_at_scan(window)
             noise = self._noise(anchor.stamp_ns, reply.stamp_ns)
-            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
+            if self.gaps.overlap(anchor.stamp_ns, reply.stamp_ns):
+                self._rest.over = True
+            rest = self._rest.seen(window)
+            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel, rest)
             turned = anchor.T_odom_imu[:3, :3].T @ self.filter.state.T_odom_imu[:3, :3]
             self._rate_imu = se3.so3_log(turned) / ((reply.stamp_ns - anchor.stamp_ns) * 1e-9)
             if self.filter.failed:
