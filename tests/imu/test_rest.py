@@ -58,10 +58,10 @@ def test_it_knows_where_down_is_where_nothing_is_seen_along_the_road():
 
 def test_a_start_that_creeps_is_not_taken_for_rest():
     rng, rest, told = np.random.default_rng(1), Rest(), []
-    for k in range(1, 41):  # from scan 20 on 2.5 m/s2, more and more
+    for k in range(1, 41):  # from scan 20 on up to 0.4 m/s2, more and more
         now = window(k, rng, np.array([0.0, 0.0, G]))
         u = np.clip((now.stamps_ns - START_NS - 19 * SCAN_NS) / 5e9, 0.0, 1.0)
-        now.accel_mps2[:, 0] += 25.0 * (u * (1.0 - u)) ** 2
+        now.accel_mps2[:, 0] += 6.0 * (u * (1.0 - u)) ** 2
         told.append(rest.seen(now))
     assert told[10] is not None
     assert rest.over
