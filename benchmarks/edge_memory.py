@@ -25,7 +25,7 @@ if __package__ in (None, ""):  # run as a file
 
 from benchmarks.command import run
 from edge_agent import daemon
-from edge_agent.config import AgentConfig, SourceConfig
+from edge_agent.config import AgentConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.sources import Event, Source, open_recording
 from edge_agent.sources.time_map import shifted
@@ -91,9 +91,10 @@ class Laps:
 def play(agent: Path, minutes: float, begin_s: float, end_s: float) -> None:
     """In a process of its own: the agent with its configuration, on a recording that does not end before."""
 
-    def laps(config: SourceConfig, robot: Robot, metrics: EdgeMetrics) -> Source:
-        assert config.recording is not None
-        return Laps(config.recording, robot, minutes, begin_s, end_s)  # pyright: ignore[reportReturnType]
+    def laps(config: AgentConfig, robot: Robot, metrics: EdgeMetrics, stop: threading.Event) -> Source:
+        recording = config.source.recording
+        assert recording is not None
+        return Laps(recording, robot, minutes, begin_s, end_s)  # pyright: ignore[reportReturnType]
 
     daemon.open_source = laps
     daemon.run_agent(config.load(AgentConfig, agent), threading.Event())

@@ -9,30 +9,13 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from splitslam.errors import InputError
+from splitslam.program import call, program
 
-_UsageError: Any = typer.BadParameter.__base__  # of the click that typer brings along or, in older ones, depends on
-
-app = typer.Typer(
-    name="edge-agent",
-    help="SplitSLAM on the robot: scans to features, IMU-rate pose, uplink to the map service.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-
-
-@app.callback(invoke_without_command=True)
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
-    if version:
-        from splitslam import __version__
-
-        print(__version__)
-        raise typer.Exit
+app = program("edge-agent", "SplitSLAM on the robot: scans to features, IMU-rate pose, uplink to the map service.")
 
 
 @app.command()
@@ -95,19 +78,7 @@ def health(
 
 def main() -> None:
     """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
-    try:
-        sys.exit(typer.main.get_command(app)(prog_name="edge-agent", standalone_mode=False))
-    except InputError as error:
-        _fail(str(error), error.exit_code)
-    except _UsageError as error:
-        context = getattr(error, "ctx", None)
-        command = context.command_path if context else "edge-agent"
-        _fail(f"{command}: {error.format_message().rstrip('.')} (see `{command} --help`)", 2)
-
-
-def _fail(line: str, exit_code: int) -> None:
-    print(line, file=sys.stderr)
-    sys.exit(exit_code)
+    sys.exit(call(app, "edge-agent"))
 
 
 if __name__ == "__main__":

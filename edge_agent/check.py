@@ -31,6 +31,7 @@ from splitslam.scan import GnssFix, ImuSamples, Scan
 _log = logging.getLogger(__name__)
 
 _LOOK_AT_S = (10.0, 20.0, 40.0, 80.0)  # of answered motion; later ones only while something is not known yet
+_MOST_SAMPLES, _MOST_SCANS = 240_000, 5000  # three times what the last look needs, at 1 kHz
 _NAME = "check"
 _LOST = 6
 
@@ -45,6 +46,11 @@ class _Heard:
     poses_ns: list[int] = field(default_factory=list)
     poses: list[np.ndarray] = field(default_factory=list)
     lost: int = 0
+
+    @property
+    def is_much(self) -> bool:
+        """More than any look needs."""
+        return sum(map(len, self.samples)) > _MOST_SAMPLES or max(len(self.scans_ns), len(self.fixes_ns)) > _MOST_SCANS
 
     def copy(self) -> _Heard:
         return replace(
@@ -82,10 +88,17 @@ class LiveCheck:
             self._heard.samples.append(event)
             if len(self._heard.samples) > 1000:
                 self._heard.samples = [ImuSamples.joined(self._heard.samples)]
+                self._begin_anew()
         elif isinstance(event, Scan):
             self._heard.scans_ns.append(event.stamp_ns)
+            self._begin_anew()
         elif isinstance(event, GnssFix):
             self._heard.fixes_ns.append(event.stamp_ns)
+
+    def _begin_anew(self) -> None:
+        """Without answers the looks do not end: what was heard until then must not fill the memory meanwhile."""
+        if self._heard.is_much:
+            self._heard = _Heard()
 
     def on_answer(self, answer: Answer) -> None:
         """An answer of the map service, in order."""

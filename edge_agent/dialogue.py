@@ -18,6 +18,7 @@ from edge_agent.pacer import Pacer
 from edge_agent.recoding import Recoding
 from edge_agent.spool import Spool
 from edge_agent.wire import Answer, answer, state_name
+from splitslam.enums import value_name
 from splitslam.logs import fields
 from splitslam.wire import session_pb2 as pb
 
@@ -68,7 +69,8 @@ class Dialogue:
         self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
         self._pacer = Pacer()
         self._recoding = Recoding(hello)
-        self._settings, self._metrics, self._spool = settings, metrics, spool
+        self._settings, self._metrics = settings, metrics
+        metrics.kept_from(self.outbox, spool)
         if spool is not None:
             metrics.spool_error_sources.append(spool.errors)
             metrics.drop("spool_damaged", spool.recovered.damaged)
@@ -92,7 +94,6 @@ class Dialogue:
         """Takes a frame into the outbox; what has to go for it is counted. arrived_s: when its scan came."""
         self.outbox.add(frame, now_s, arrived_s)
         self._count_lost()
-        self._gauge()
 
     def _count_lost(self) -> None:
         for lost in self.outbox.lost:
@@ -214,13 +215,12 @@ class Dialogue:
             self._on_advice(response.advice)
         elif kind == "drain":
             self.replica = response.drain.replica
-            text = f"drain: {pb.DrainReason.Name(response.drain.reason)}"
-            self._end(Ending("drain", text), response.drain.retry_after_ms)
+            reason = value_name(pb.DrainReason, response.drain.reason, "DRAIN_REASON_")
+            self._end(Ending("drain", f"drain: {reason}"), response.drain.retry_after_ms)
         elif kind == "refused":
             self._on_refused(response.refused)
         elif kind == "finished":
             self.finished = response.finished
-        self._gauge()
 
     def _on_welcome(self, welcome: pb.Welcome) -> None:
         if not self.outbox.rewind(welcome.applied_seq, welcome.durable_seq):
@@ -276,7 +276,7 @@ class Dialogue:
         return min(limits, default=None)
 
     def _on_refused(self, refused: pb.Refused) -> None:
-        name = pb.RefusedReason.Name(refused.reason).removeprefix("REFUSED_REASON_").lower()
+        name = value_name(pb.RefusedReason, refused.reason, "REFUSED_REASON_")
         if refused.reason == pb.REFUSED_REASON_FINISHED and self.bye is not None:
             self.finished = pb.Finished()  # the answer to our Bye was lost with the stream before
         elif refused.retry_after_ms == 0:
@@ -289,10 +289,3 @@ class Dialogue:
         self.stream.ended = ending
         self.stream.retry_after_s = retry_after_ms * 1e-3
         self.stream.other_replica = True
-
-    def _gauge(self) -> None:
-        self._metrics.buffer_frames.set(len(self.outbox))
-        self._metrics.buffer_bytes.set(self.outbox.bytes)
-        if self._spool is not None:
-            self._metrics.spool_frames.set(len(self._spool))
-            self._metrics.spool_bytes.set(self._spool.bytes)

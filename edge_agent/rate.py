@@ -152,6 +152,7 @@ class RateControl:
         self._dense_frames += dense
         self._sent.append((stamp_ns, size))
         self._sum += size
+        self._used(stamp_ns)  # forgets what is older: without a budget nobody else asks
         kind = self._kinds[dense]
         if points > 0:
             kind.bytes_per_point += 0.2 * (max(size - kind.bare_bytes, 0.0) / points - kind.bytes_per_point)

@@ -7,7 +7,6 @@ and renamed when it is complete and on disk.
 from __future__ import annotations
 
 import hashlib
-import os
 import sqlite3
 import struct
 from collections.abc import Iterator
@@ -38,6 +37,7 @@ from map_service import migrations, schema
 from map_service.catalog import delete_session
 from map_service.database import one_line
 from map_service.store import Store
+from splitslam.durable import sync
 from splitslam.errors import InputError
 
 _BATCH = {"clouds": 50, "dense_clouds": 16}  # rows at a time; a cloud may be 100 kB, a dense one 4 MB
@@ -76,9 +76,9 @@ def backup(store: Store, path: Path) -> Archived:
             if version != migrations.VERSION:
                 raise InputError(f"store: schema version {version}: this program backs up {migrations.VERSION}")
             counts, scans = _copy_out(source, target), _scans(source)
-        _sync(part)
+        sync(part)
         part.rename(path)
-        _sync(path.absolute().parent)
+        sync(path.absolute().parent)
     finally:
         part.unlink(missing_ok=True)
     return Archived(counts["sessions"], scans, counts["keyframes"], path.stat().st_size)
@@ -219,11 +219,3 @@ def _file(path: Path, read_only: bool = False) -> Iterator[Connection]:
 def _unhurried(connection: Connection) -> None:
     if connection.dialect.name == "postgresql":
         connection.exec_driver_sql("SET LOCAL idle_in_transaction_session_timeout = 60000")
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -50,7 +50,7 @@ def _keyframes(scans: Scans, at: Ints) -> Array:
 def encode_block(scans: Scans, anchors: Mapping[int, Array], fidelity: Fidelity) -> tuple[bytes, int]:
     """1 to MOST_SCANS scans; anchors (4, 4) of all their keyframes. Also how many scans are left without a pose.
 
-    Raises DataError for poses that are nowhere.
+    Raises DataError for poses that are nowhere, and stamps of mapped scans that do not rise.
     """
     out = ColumnWriter()
     out.add(fidelity.told)
@@ -69,6 +69,8 @@ def encode_block(scans: Scans, anchors: Mapping[int, Array], fidelity: Fidelity)
 def _put_mapped(out: ColumnWriter, scans: Scans, origin_ns: int, anchors: Mapping[int, Array], f: Fidelity) -> int:
     if not max(np.abs(scans.T_map_lidar).max(), np.abs(scans.T_keyframe_lidar).max()) < _FARTHEST_M:
         raise DataError("corrupt", "a pose that is nowhere")
+    if (np.diff(scans.stamp_ns) <= 0).any():
+        raise DataError("corrupt", "stamps that do not rise")
     rotation_rad, position_m, *_ = f.read_as
     steps = np.repeat([rotation_rad, position_m], 3)
     starts, run = runs(scans.keyframe)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
 
 from map_service import carried, migrations, schema
+from map_service.block_checking import check_block
 from map_service.block_encoding import encode_block, first_seen
 from map_service.config import PosesConfig
 from map_service.database import alone
@@ -172,8 +173,12 @@ def _close(connection: Connection, key: int, rows: list[Row]) -> int:
 def _put(
     connection: Connection, key: int, scans: Scans, anchors: dict[int, Array], fidelity: Fidelity, freed: int
 ) -> int:
-    """A block of scans, whose place in the store has been `freed`, bytes; returns how many are left out."""
+    """A block of scans, whose place in the store has been `freed`, bytes; returns how many are left out.
+
+    Raises DataError when a block cannot tell them, which undoes the transaction.
+    """
     content, left_out = encode_block(scans, anchors, fidelity)
+    check_block(content, scans, anchors, fidelity)
     stamps_ns = scans.stamp_ns[scans.mapped].tolist()
     values: dict[str, Any] = {
         "session": key,

@@ -4,35 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from map_service.store_command import sessions_app, store_app
-from splitslam.errors import InputError
+from splitslam.program import call, program
 
-_UsageError: Any = typer.BadParameter.__base__
-
-app = typer.Typer(
-    name="map-service",
-    help="The map service of SplitSLAM: robots' features in, poses and a map out.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-
-
+app = program("map-service", "The map service of SplitSLAM: robots' features in, poses and a map out.")
 app.add_typer(store_app, name="store")
 app.add_typer(sessions_app, name="sessions")
-
-
-@app.callback(invoke_without_command=True)
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
-    if version:
-        from splitslam import __version__
-
-        print(__version__)
-        raise typer.Exit
 
 
 @app.command()
@@ -91,16 +72,4 @@ def warm_up() -> None:
 
 def main() -> None:
     """Entry point: exit code 2 and one line on stderr for whatever the user can mend."""
-    try:
-        sys.exit(typer.main.get_command(app)(prog_name="map-service", standalone_mode=False))
-    except InputError as error:
-        _fail(str(error))
-    except _UsageError as error:
-        context = getattr(error, "ctx", None)
-        command = context.command_path if context else "map-service"
-        _fail(f"{command}: {error.format_message().rstrip('.')} (see `{command} --help`)")
-
-
-def _fail(line: str) -> None:
-    print(line, file=sys.stderr)
-    sys.exit(InputError.exit_code)
+    sys.exit(call(app, "map-service"))

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+_MOST_SESSIONS = 10_000  # ten times what a call follows; a database takes 32,766 names in a question
+
 
 class CursorError(ValueError):
     """Not a cursor."""
@@ -31,6 +33,8 @@ class Cursor:
             return None
         try:
             newest, numbers = json.loads(text)
+            if len(numbers) > _MOST_SESSIONS:
+                raise ValueError
             return cls(_number(newest), {str(name): _number(number) for name, number in numbers.items()})
         except (ValueError, TypeError, AttributeError, RecursionError):
             raise CursorError(f"cursor {text[:80]!r}: expected one of an earlier message") from None

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 import grpc
 
 from map_service.access import check_robot
-from map_service.callers import Callers
+from map_service.callers import Caller, Callers
 from map_service.client_limits import ClientLimits, wait_turn
 from map_service.config import ServiceConfig
 from map_service.dense_receiver import DenseReceiver
@@ -44,7 +44,7 @@ class DenseFront(StoreFront, rpc.DenseServiceServicer):
         async with self._allowed(context) as caller:
             check_robot(caller, opening, context.invocation_metadata() or ())
             with self._clients.stream(opening.robot_id):
-                async for answer in self._serve(requests, context, session_id_of(opening)):
+                async for answer in self._serve(requests, context, session_id_of(opening), caller):
                     yield answer
 
     async def _opening(
@@ -61,11 +61,17 @@ class DenseFront(StoreFront, rpc.DenseServiceServicer):
         return hello
 
     async def _serve(
-        self, requests: AsyncIterator[pb.UploadRequest], context: grpc.aio.ServicerContext, session_id: str
+        self,
+        requests: AsyncIterator[pb.UploadRequest],
+        context: grpc.aio.ServicerContext,
+        session_id: str,
+        caller: Caller,
     ) -> AsyncIterator[pb.UploadResponse]:
+        """Until the robot is silent. Raises DeniedError when its certificate is revoked meanwhile."""
         receiver, turns = DenseReceiver(self._clouds, session_id), self._clients.messages()
         yield pb.UploadResponse(verdict=pb.CLOUD_VERDICT_WANTED)
         while (request := await self._next(requests, _SILENT_S)) is not None:
+            self._callers.check_revoked(caller)
             if await wait_turn(turns):
                 self._metrics.throttled.inc()
             self._metrics.received_bytes.inc(by=request.ByteSize())

@@ -10,13 +10,13 @@ from typing import Any
 
 from google.protobuf.message import DecodeError as WireError
 
-from map_service.answered import Answered, AnsweredFrames
 from map_service.catalog import Catalog
 from map_service.channel import Abort, Close, DrainAll, Forget, HandOver, Open, Reply, Request, Watch
 from map_service.commits import FLUSH_S, Committer
 from map_service.config import ServiceConfig
 from map_service.endings import Endings
 from map_service.engine import Engine
+from map_service.frame_flow import FrameFlow
 from map_service.held import HeldSessions
 from map_service.hello import RefusedError
 from map_service.opening import Opener
@@ -32,13 +32,12 @@ from splitslam.wire import session_pb2 as pb
 
 STORE_RETRY_MS = 500
 VERSION_RETRY_MS = 500
-_SLOW_S = 1.0
 
 _log = logging.getLogger(__name__)
 
 
 class SessionHost:
-    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by the reader.
+    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by who reads them.
 
     What a frame means for the map, and what is to be committed, can wait while other robots wait for an answer: `care`
     does a piece of it. A session is cared for before its next frame at the latest.
@@ -54,8 +53,7 @@ class SessionHost:
         self._quotas = SiteQuotas(config.quota, Catalog(store))
         self._opener = Opener(self.sessions, engine, store, self._committer, self._quotas, self.tally, self.cpu_ns)
         self._taken_over = TakenOver(Catalog(store))
-        self._poison: dict[str, int] = {}
-        self._answered = AnsweredFrames()
+        self._frames = FrameFlow(self.sessions, self._endings, self._views, self.tally, send)
 
     def cpu_ns(self) -> int:
         """CPU time of this process and its loop verifiers."""
@@ -67,7 +65,7 @@ class SessionHost:
         if isinstance(message, Request):
             self._request(message)
             return
-        self._settle_all()
+        self._frames.settle_all()
         match message:
             case Open():
                 self._open(message)
@@ -149,14 +147,14 @@ class SessionHost:
             self.sessions.abort(session, "INVALID_ARGUMENT", "more than the window allows")
 
     def _take(self, session: Session, request: pb.StreamRequest) -> None:
-        self._settle(self._answered.take(session))
+        self._frames.settle(session)
         if session.stream is None:  # what its last frame means could not be done: the robot resumes
             return
         try:
             if session.commit_due:
                 session.commit()
             if request.HasField("frame"):
-                self._frame(session, request.frame)
+                self._frames.answer(session, request.frame)
             else:
                 self._bye(session, request.bye)
         except SequenceGapError as gap:
@@ -166,72 +164,10 @@ class SessionHost:
         except StoreError as error:
             self._endings.store_failed(session, error)
 
-    def _frame(self, session: Session, frame: pb.Frame) -> None:
-        start_s = time.monotonic()
-        try:
-            answer = session.apply(frame, poisoned=self._poison.get(session.request.session_id) == frame.seq)
-        except (SequenceGapError, StoreError):
-            raise
-        except Exception:
-            self._frame_failed(session, frame)
-            return
-        assert session.stream is not None
-        self._send(Reply(session.stream, pb.StreamResponse(odometry=answer).SerializeToString(), answer=True))
-        self._answered.add(Answered(session, frame, answer, time.monotonic() - start_s))
-
-    def _settle(self, answered: Answered | None) -> None:
-        """What an answered frame means for the map."""
-        if answered is None:
-            return
-        session, frame, start_s = answered.session, answered.frame, time.monotonic()
-        name = session.request.session_id
-        self._views.scan(session, frame, answered.answer)
-        try:
-            session.settle()
-        except StoreError as error:
-            self._endings.store_failed(session, error)
-            return
-        except Exception:
-            self._frame_failed(session, frame)
-            return
-        if self._poison.get(name) == frame.seq:
-            del self._poison[name]
-        self._note(session, frame, answered.answer, answered.seconds + time.monotonic() - start_s)
-
-    def _settle_all(self) -> None:
-        while (answered := self._answered.oldest()) is not None:
-            self._settle(answered)
-
-    def _frame_failed(self, session: Session, frame: pb.Frame) -> None:
-        """The pipeline's state cannot be trusted any more.
-
-        The robot resumes from the store and sends the frame again; if it fails a second time it is rejected.
-        """
-        name = session.request.session_id
-        _log.exception("frame failed", extra=fields(session_id=name, seq=frame.seq, trace_id=_trace(frame)))
-        self.tally.count("frames", "failed")
-        self._poison[name] = frame.seq
-        self.sessions.abort(session, "INTERNAL", f"frame {frame.seq} failed: see the service's log")
-        self.sessions.drop(name)
-
-    def _note(self, session: Session, frame: pb.Frame, answer: pb.Odometry, seconds: float) -> None:
-        """Each frame at debug; one that is not mapped, or takes long, for whoever looks after the service."""
-        slow = seconds > _SLOW_S
-        level = logging.WARNING if answer.rejected else logging.INFO if slow else logging.DEBUG
-        if not _log.isEnabledFor(level):
-            return
-        event = "frame rejected" if answer.rejected else "frame slow" if slow else "frame"
-        name = session.request.session_id
-        said = {"state": session.state.name.lower(), "keyframe": answer.keyframe, "duplicate": answer.duplicate}
-        said |= {"bytes": len(frame.payload), "ms": round(seconds * 1e3, 2)}
-        if answer.rejected:
-            said["reason"] = answer.rejected
-        _log.log(level, event, extra=fields(session_id=name, seq=frame.seq, trace_id=_trace(frame), **said))
-
     def _bye(self, session: Session, bye: pb.Bye) -> None:
         if bye.last_seq != session.log.applied_seq:
             raise SequenceGapError(session.log.applied_seq + 1, bye.last_seq + 1)
-        self._poison.pop(session.request.session_id, None)
+        self._frames.forget(session)
         session.finish()
         self._views.end(session)
 
@@ -239,9 +175,7 @@ class SessionHost:
 
     def care(self) -> bool:
         """One piece of what can wait until no robot waits for an answer. False: there is nothing left."""
-        answered = self._answered.oldest()
-        if answered is not None:
-            self._settle(answered)
+        if self._frames.settle_oldest():
             return True
         for session in self.sessions.all():
             if session.commit_due and not session.finishing:
@@ -273,7 +207,7 @@ class SessionHost:
         """Sites that have reached their quota: what is applied is committed, then their robots keep what comes."""
         if not self._quotas.looked(self._committer.run):
             return
-        self._settle_all()
+        self._frames.settle_all()
         for session in self.sessions.all():
             if session.stream is None or session.finishing:
                 continue
@@ -296,7 +230,7 @@ class SessionHost:
 
     def drain(self) -> None:
         """All sessions: the commits are under way together, each robot goes as soon as its own is durable."""
-        self._settle_all()
+        self._frames.settle_all()
         self._committer.give_up_after(self.config.commit.drain_s)
         sessions = sorted(self.sessions.all(), key=lambda session: session.stream is None)
         for session in sessions:
@@ -310,8 +244,3 @@ class SessionHost:
             except (FencedError, StoreError) as error:
                 name = session.request.session_id
                 _log.error("not committed at drain", extra=fields(session_id=name, detail=str(error)))
-
-
-def _trace(frame: pb.Frame) -> str:
-    """The agent's own word for the frame, if it has one; else it follows from run and seq."""
-    return frame.trace_id[:64]

@@ -95,16 +95,24 @@ class Housekeeper:
             await asyncio.sleep(self._config.housekeeping_s)
 
     def look(self) -> None:
-        try:
-            for removed in self._retention.run(time.time()):
-                self._metrics.retention.inc()
-                self._metrics.retention_bytes.inc(by=removed.bytes)
-            kept = self._blocks.run(time.time())
-            self._metrics.scans_closed.inc(by=kept.closed)
-            self._metrics.scans_thinned.inc(by=kept.thinned)
-            self._measure()
-        except StoreError as error:
-            _log.warning("housekeeping failed", extra=fields(detail=str(error)))
+        """Each of the three, whatever became of the others."""
+        for task in (self._delete_old, self._keep_blocks, self._measure):
+            try:
+                task()
+            except StoreError as error:
+                _log.warning("housekeeping failed", extra=fields(task=task.__name__.strip("_"), detail=str(error)))
+            except Exception:  # a defect in one must not end all of it for as long as the service runs
+                _log.exception("housekeeping failed", extra=fields(task=task.__name__.strip("_")))
+
+    def _delete_old(self) -> None:
+        for removed in self._retention.run(time.time()):
+            self._metrics.retention.inc()
+            self._metrics.retention_bytes.inc(by=removed.bytes)
+
+    def _keep_blocks(self) -> None:
+        kept = self._blocks.run(time.time())
+        self._metrics.scans_closed.inc(by=kept.closed)
+        self._metrics.scans_thinned.inc(by=kept.thinned)
 
     def _measure(self) -> None:
         """By site only for those that the configuration names: labels are bounded."""

@@ -12,6 +12,8 @@ from splitslam.scan import GnssFix
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types_pb
 
+_HIGHEST_M = 1e5  # of a fix: one far beyond, as a session's first, would leave nothing of all that come after it
+
 
 def transform_to_wire(T: np.ndarray) -> types_pb.Transform:
     """(4, 4) -> Transform."""
@@ -66,6 +68,7 @@ def _usable(m: types_pb.GnssFix) -> bool:
         all(math.isfinite(v) for v in values)
         and abs(m.latitude_deg) <= 90
         and abs(m.longitude_deg) <= 180
+        and abs(m.altitude_m) <= _HIGHEST_M
         and len(m.covariance_enu_m2) in (0, 9)
     )
 

@@ -67,6 +67,7 @@ class Session:
         self._poses: deque[types_pb.StampedPose] = deque(maxlen=WELCOME_POSES)
         self._T_map_odom = np.eye(4)
         self._last_stamp_ns = 0
+        self._mapped_ns = 0  # stamp of the newest frame that was mapped: stamps in the map rise
         self._covariance = np.full((6, 6), np.nan)
         self._new_T_map_odom: dict[int, np.ndarray] = {}
         self._new_covariance: dict[int, np.ndarray] = {}
@@ -85,6 +86,7 @@ class Session:
             if answer.T_map_lidar is not None and answer.T_map_odom is not None:
                 self._poses.append(messages.stamped_pose(answer.seq, answer.stamp_ns, answer.T_map_lidar))
                 self._T_map_odom, self.state = answer.T_map_odom, State(answer.state)
+                self._mapped_ns = answer.stamp_ns
         self._tracker = snapshot.tracker
         # without a mapped frame there is no tracker state yet
         return self._engine.create(self.request, snapshot if snapshot.tracker else None)
@@ -188,13 +190,14 @@ class Session:
     def _map(self, frame: pb.Frame) -> pb.Odometry:
         if not 1 <= frame.codec_version <= self._engine.codec_version:
             raise DataError("codec_version", f"{frame.codec_version}")
-        if frame.stamp_ns <= self._last_stamp_ns:
-            raise DataError("time", f"stamp {frame.stamp_ns} after {self._last_stamp_ns}")
+        if frame.stamp_ns <= self._mapped_ns:
+            raise DataError("time", f"stamp {frame.stamp_ns} after {self._mapped_ns}")
         features = self._engine.decode(frame, self.request)
         fixes, unusable = messages.fixes_from_wire(list(frame.fixes))
         if unusable:
             self._tally.count("gnss", "unusable", by=unusable)
         result = self._pipeline.answer(features, fixes)
+        self._mapped_ns = frame.stamp_ns
         answer = messages.odometry(result)
         self._diary.answered(result, self.state)
         self.state = result.state

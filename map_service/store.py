@@ -252,10 +252,15 @@ class Store:
         return found
 
     def answers(self, key: int, *, last: int = 0, seq: int = 0) -> list[StoredAnswer]:
-        """The newest `last` answers, or the one of frame `seq`; in seq order."""
+        """The newest `last` answers and, if those are rejections, the newest that is none; or that of frame `seq`.
+
+        In seq order.
+        """
         with self.reading() as connection:
             scans = SessionScans(connection, key)
             found = scans.newest(last) if not seq else [one] if (one := scans.one(seq)) else []
+            if last and all(scan.rejected for scan in found) and (mapped := scans.newest_mapped()):
+                found = [mapped, *found]
         return [
             StoredAnswer(
                 scan.seq,

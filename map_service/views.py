@@ -89,6 +89,8 @@ class MapTold:
     def fill(self, message: view_pb2.MapSeen, now: MapSeen) -> None:
         """With what has changed."""
         poses = now.T_map_keyframes[:, :3]
+        if len(poses) < len(self._poses):  # the session was made again from its store, which had not all of them
+            self._poses, self._loops, self._fixes_map = np.zeros((0, 3, 4)), 0, np.zeros((0, 3))
         known = len(self._poses)
         off = np.abs(poses[:known] - self._poses)
         moved = (off[:, :, 3] > _MOVED_M).any(axis=1) | (off[:, :, :3] > _MOVED).any(axis=(1, 2))

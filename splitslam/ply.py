@@ -78,6 +78,6 @@ def _read_header(path: Path) -> tuple[int, int]:
 
 def _header(count: int, comments: tuple[str, ...]) -> bytes:
     """Its length does not depend on `count`, so that it can be written over; readers take leading zeros."""
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {' '.join(said.split())}" for said in comments)]
     lines += [f"element vertex {count:0{_COUNT_DIGITS}d}", *_FIELDS, "end_header"]
-    return ("\n".join(lines) + "\n").encode("ascii")
+    return ("\n".join(lines) + "\n").encode("ascii", "replace")

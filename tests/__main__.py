@@ -1,25 +1,26 @@
 """`make test`: all there is to test, side by side, so that what one test waits for is time for another.
 
 Tests marked `alone` are by the clock: they run one after the other, and all else makes way for them (nice).
+A signal ends everything that was started; the exit code is then 128 and its number.
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 from contextlib import ExitStack
-from typing import IO
+from types import FrameType
 
 from tests.conftest import ROOT
+from tests.parts import Parts
 
 _PYTEST = (sys.executable, "-m", "pytest")
 # Of a fresh clone every process would compile the same, tests by the clock among them.
 _KERNELS = ((sys.executable, "-m", "edge_agent", "warm-up"), (sys.executable, "-m", "map_service", "warm-up"))
 _MAKING_WAY = ("nice", "-n", "10")
-_INTERRUPTED = 130
 
 
 def the_alone() -> tuple[str, ...]:
@@ -38,26 +39,24 @@ def main() -> int:
         (*_PYTEST, "-m", "alone", *the_alone()),
         (*_MAKING_WAY, "make", "--no-print-directory", "fpga-test", "WORKERS=1"),
     )
-    for compiling in [_start(command) for command in _KERNELS]:
-        compiling.wait()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # nohup
+            signal.signal(number, _end)
     with ExitStack() as cleanup:
         outs = [cleanup.enter_context(tempfile.TemporaryFile("w+")) for _ in beside]
-        parts = [_start(command, out) for command, out in zip(beside, outs, strict=True)]
-        parts.insert(0, _start(together))
-        try:
-            codes = [part.wait() for part in parts]
-        except KeyboardInterrupt:  # which they have had too
-            for part in parts:
-                part.wait()
-            return _INTERRUPTED
+        parts = cleanup.enter_context(Parts(ROOT))
+        for compiling in [parts.start(command) for command in _KERNELS]:
+            compiling.wait()
+        running = [parts.start(together), *map(parts.start, beside, outs)]
+        codes = [part.wait() for part in running]
         for out in outs:
             out.seek(0)
             shutil.copyfileobj(out, sys.stdout)
     return int(any(codes))
 
 
-def _start(command: tuple[str, ...], out: IO[str] | None = None) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(command, cwd=ROOT, stdout=out, stderr=None if out is None else subprocess.STDOUT)
+def _end(number: int, _: FrameType | None) -> None:
+    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import psycopg
-import pytest
 
 from splitslam.errors import InputError
 from splitslam.stack.postgres import PostgresServer
 from tests.map_service.harness import descendants
+from tests.missing import missing
 
 
 class DatabaseServer(PostgresServer):
@@ -64,6 +64,4 @@ def database_server() -> DatabaseServer:
     try:
         return DatabaseServer()
     except InputError as error:
-        if os.environ.get("CI", "").lower() in ("true", "1"):
-            pytest.fail(str(error))
-        pytest.skip(str(error))
+        missing(str(error))

@@ -58,7 +58,7 @@ class CloudSender:
         booked: Callable[[int], None],
     ) -> None:
         self.sent = 0  # clouds that the service has
-        self.moved_s = time.monotonic()  # when an answer came last
+        self.moved_s = time.monotonic()  # when a piece was answered last
         self._shelf, self._link, self._connector, self._metrics, self._booked = shelf, link, connector, metrics, booked
         self._meter = TcpMeter(*split_server(server), dscp=LOWER_EFFORT)
         self._attempt = 0
@@ -113,11 +113,7 @@ class CloudSender:
 
     def _send(self, channel: grpc.Channel, due: list[Kept]) -> None:
         """All of them, which are of one run. Raises grpc.RpcError."""
-        run_id = due[0].run_id
-        opening = self._shelf.opening(run_id)
-        if opening is None:
-            self._shelf.give_up(run_id, "damaged")
-            return
+        opening = self._shelf.opening(due[0].run_id)
         upload = Upload(channel, self._connector, opening, self._attempt)
         with self._lock:
             self._upload = upload
@@ -136,6 +132,8 @@ class CloudSender:
 
     def _offer(self, upload: Upload, kept: Kept) -> bool:
         """One cloud; False: no further one now."""
+        if kept.gone_ns is not None:
+            return self._ask(upload, kept, kept.gone_ns)
         cloud = self._shelf.read(kept)
         if cloud is None:
             return True
@@ -155,6 +153,15 @@ class CloudSender:
                 raise ValueError(f"the service has {answer.received_bytes} bytes after {start}")
         return self._take(kept, answer)
 
+    def _ask(self, upload: Upload, kept: Kept, stamp_ns: int) -> bool:
+        """Whether a scan that a killed agent had in hand was a keyframe's: then it would be wanted."""
+        offer = pb.CloudOffer(seq=kept.seq, stamp_ns=stamp_ns, size=1)
+        answer = self._say(upload, pb.UploadRequest(offer=offer))
+        if answer.verdict not in (pb.CLOUD_VERDICT_WANTED, pb.CLOUD_VERDICT_NO_ROOM):
+            return self._take(kept, answer)
+        self._shelf.done(kept, "killed")
+        return True
+
     def _chunk_bytes(self) -> int:
         """A frame that comes right after it waits no longer than for this."""
         limit_kbps = self._link.limit_kbps
@@ -172,7 +179,8 @@ class CloudSender:
         self._metrics.sent("dense", size)
         answer = upload.say(request)
         self._metrics.received("dense", answer.ByteSize())
-        self.moved_s = time.monotonic()
+        if request.HasField("chunk"):
+            self.moved_s = time.monotonic()
         return answer
 
     def _take(self, kept: Kept, answer: pb.UploadResponse) -> bool:
@@ -185,7 +193,7 @@ class CloudSender:
         elif verdict == pb.CLOUD_VERDICT_NO_SESSION and self._shelf.has_keyframes(kept.run_id):
             self._shelf.give_up(kept.run_id, "deleted")  # it had one
             return False
-        elif verdict in _LATER_S:
+        elif verdict in _LATER_S:  # no progress: the end of a run need not wait for it
             kept.not_before_s = time.monotonic() + (answer.retry_after_ms * 1e-3 or _LATER_S[verdict])
         else:
             said = fields(run_id=kept.run_id, seq=kept.seq, detail=answer.detail or str(verdict))

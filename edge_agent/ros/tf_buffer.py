@@ -14,6 +14,7 @@ from splitslam import se3
 
 Array = NDArray[np.float64]
 _KEPT_NS = 10_000_000_000
+_MOST_FRAMES = 2000  # trackers of objects name a new frame for each: those not heard of for longest go
 _DEEPEST = 64  # frames between a frame and its root: more is a circle
 
 
@@ -53,7 +54,7 @@ class TfBuffer:
     """The tree of frames as far as it has been heard of; may be filled and asked from different threads."""
 
     def __init__(self) -> None:
-        self._edges: dict[str, _Edge] = {}
+        self._edges: dict[str, _Edge] = {}  # those that moved last at the end
         self._lock = threading.Lock()
 
     def add(self, parent: str, child: str, stamp_ns: int, T_parent_child: Array, fixed: bool = False) -> None:
@@ -63,9 +64,11 @@ class TfBuffer:
             edge = self._edges.get(child)
             if edge is None or edge.parent != parent or fixed or not edge.stamps_ns or stamp_ns < edge.stamps_ns[-1]:
                 edge = self._edges[child] = _Edge(parent)
+            self._bound()
             if fixed:
                 edge.poses = [T_parent_child]
                 return
+            self._edges[child] = self._edges.pop(child)
             if edge.stamps_ns and edge.stamps_ns[-1] == stamp_ns:
                 edge.poses[-1] = T_parent_child
                 return
@@ -73,6 +76,11 @@ class TfBuffer:
             edge.poses.append(T_parent_child)
             old = bisect_left(edge.stamps_ns, stamp_ns - _KEPT_NS)
             del edge.stamps_ns[:old], edge.poses[:old]
+
+    def _bound(self) -> None:
+        if len(self._edges) > _MOST_FRAMES:
+            moving = (child for child, edge in self._edges.items() if edge.stamps_ns)
+            del self._edges[next(moving, next(iter(self._edges)))]
 
     def lookup(self, target: str, source: str, stamp_ns: int = 0) -> Array | None:
         """T_target_source (4, 4) at a time; None when the tree does not say. stamp_ns: any, between fixed frames."""

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.sources._kernels import all_within, goes_on
 from edge_agent.sources.stream_clock import JUMP_NS, StreamClock
 from edge_agent.sources.time_map import TimeMap
 from splitslam.logs import fields
@@ -16,6 +17,9 @@ from splitslam.robot import Robot
 from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 
 _MAX_WAITING = 20
+# What is beyond is no measurement, and one of it would throw `odom` away for good: 5,700 deg/s, 100 g.
+_MOST_RADPS, _MOST_MPS2 = 100.0, 1000.0
+_MOST_M = float(np.finfo(np.float32).max)  # of a point: all but NaN and infinity
 _log = logging.getLogger(__name__)
 Item = ImuSamples | WheelSamples | ScanPacket
 
@@ -27,7 +31,7 @@ class Sequencer:
     samples is split there. Wheel odometry passes as it comes, fixes go with the next packet. Without an IMU a scan
     passes straight through.
     dropped: messages left out by reason: duplicate, time_backwards, time_jump, nan, empty; with the prefix `imu_`,
-    `wheel_` or `gnss_` for those streams.
+    `wheel_` or `gnss_` for those streams; imu_range.
     uncovered: scans released without the IMU reaching their end: it has stopped, or the input has ended. A scan
     waits for it until 20 do; then none does, until it is back. Samples for the time of a scan that is gone are dropped.
     times: steps of the sensors' clocks, which do not reach the run.
@@ -65,7 +69,7 @@ class Sequencer:
 
     def push_imu(self, samples: ImuSamples, arrivals_ns: Sequence[int]) -> list[Item]:
         """The same as one `push` for each of the samples, cheaper where time simply goes on in them."""
-        if self._goes_on(samples) and _is_finite(samples):
+        if self._goes_on(samples) and _is_usable(samples):
             passed = self._imu_clock.admit_run(samples.stamps_ns.tolist(), samples, arrivals_ns)
             return self._emit(passed)
         out: list[Item] = []
@@ -87,7 +91,7 @@ class Sequencer:
         if len(scan) == 0:
             self.dropped["empty"] += 1
             return []
-        if not np.isfinite(scan.points_lidar).all():
+        if not all_within(scan.points_lidar, _MOST_M):
             self.dropped["nan"] += 1
             return []
         passed = self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan, arrival_ns)
@@ -102,14 +106,18 @@ class Sequencer:
 
     def _push_imu(self, samples: ImuSamples, arrival_ns: int | None) -> list[Item]:
         out: list[Item] = []
-        if not _is_finite(samples):
-            finite = np.asarray(np.isfinite(np.hstack([samples.gyro_radps, samples.accel_mps2])).all(axis=1))
-            self.dropped["imu_nan"] += int(np.count_nonzero(~finite))
-            samples = _take(samples, finite)
+        if not _is_usable(samples):
+            samples = self._usable(samples)
         for run in self._runs(samples) if len(samples) else []:
             for passed in self._imu_clock.admit(int(run.stamps_ns[0]), int(run.stamps_ns[-1]), run, arrival_ns):
                 out.extend(self._emit(passed))
         return out
+
+    def _usable(self, samples: ImuSamples) -> ImuSamples:
+        usable = np.array([_is_usable(_slice(samples, k, k + 1)) for k in range(len(samples))])
+        for gyro, accel in zip(samples.gyro_radps[~usable], samples.accel_mps2[~usable], strict=True):
+            self.dropped["imu_range" if np.isfinite([gyro, accel]).all() else "imu_nan"] += 1
+        return _take(samples, usable)
 
     def _runs(self, samples: ImuSamples) -> list[ImuSamples]:
         """The chunk as it is when time simply goes on in it, else its samples one by one."""
@@ -118,8 +126,7 @@ class Sequencer:
         return [_slice(samples, k, k + 1) for k in range(len(samples))]
 
     def _goes_on(self, samples: ImuSamples) -> bool:
-        step_ns = np.diff(samples.stamps_ns)
-        return self._imu_clock.follows(int(samples.stamps_ns[0])) and bool(((step_ns > 0) & (step_ns <= JUMP_NS)).all())
+        return self._imu_clock.follows(int(samples.stamps_ns[0])) and goes_on(samples.stamps_ns, JUMP_NS)
 
     def _emit(self, samples: ImuSamples) -> list[Item]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
@@ -153,8 +160,9 @@ class Sequencer:
         return packet
 
 
-def _is_finite(samples: ImuSamples) -> bool:
-    return bool(np.isfinite(samples.gyro_radps).all() and np.isfinite(samples.accel_mps2).all())
+def _is_usable(samples: ImuSamples) -> bool:
+    """Finite, and within what a sensor measures."""
+    return all_within(samples.gyro_radps, _MOST_RADPS) and all_within(samples.accel_mps2, _MOST_MPS2)
 
 
 def _take(samples: ImuSamples, keep: NDArray[np.bool_]) -> ImuSamples:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from splitslam.durable import sync
 from splitslam.errors import InputError
 
 
@@ -39,11 +40,11 @@ def complete(path: Path, force: bool) -> Iterator[Path]:
     try:
         yield part
         part.chmod(0o666 & ~_umask())  # a temporary file is for its owner alone
-        _sync(part)
+        sync(part)
         check_target(path, force)  # somebody else may have been quicker
         part.replace(path)
         with suppress(OSError):  # not every file system can
-            _sync(path.absolute().parent)
+            sync(path.absolute().parent)
     except OSError as error:
         if error.filename == str(part):  # a name that nobody knows
             error.filename = str(path)
@@ -56,11 +57,3 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -7,6 +7,8 @@ import os
 import secrets
 from pathlib import Path
 
+from splitslam.durable import sync
+
 
 def write_private(path: Path, data: bytes) -> None:
     """Mode 0600 from its first byte on; whoever reads meanwhile sees the old content or the new. Raises OSError."""
@@ -22,11 +24,7 @@ def write_private(path: Path, data: bytes) -> None:
         with contextlib.suppress(FileNotFoundError):
             fresh.unlink()
         raise
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    sync(path.parent)
 
 
 def make_private_folder(path: Path) -> None:

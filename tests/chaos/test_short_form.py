@@ -25,4 +25,4 @@ def test_whatever_is_killed_frozen_or_cut_every_scan_is_mapped_once_and_nothing_
     busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))  # how many wait for each core
     for outcome in outcomes:
         if outcome.bar_s is not None:
-            assert outcome.gap_s <= bars.CHAOS_GAP_SLACK * busy * outcome.bar_s, outcome.line()
+            assert outcome.gap_s <= bars.GAP_SLACK * busy * outcome.bar_s, outcome.line()

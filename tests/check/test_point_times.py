@@ -78,10 +78,19 @@ def test_planes_are_thin_only_with_the_times_that_points_were_measured_at(
     assert all(f.severity is Severity.PROBLEM for f in point_times.findings(found))
 
 
-def test_turns_alone_tell_it_too() -> None:
-    found = looked_at("mirrored", made.Drive(wobble_rad=0.0, surge_m=0.0, speed_mps=0.0))
+@pytest.mark.parametrize(
+    "drive",
+    [
+        made.Drive(wobble_rad=0.0, surge_m=0.0, speed_mps=0.0),
+        made.Drive(wobble_rad=0.0, turn_rad=0.0, surge_m=6.0, speed_mps=0.0),
+    ],
+    ids=["turns", "way"],
+)
+def test_turns_alone_and_a_way_without_turns_tell_it_too(drive: made.Drive) -> None:
+    found = looked_at("mirrored", drive)
     assert found is not None
     assert found.share == pytest.approx(-1.0, abs=tolerances.CHECK_POINT_TIMES)
+    assert found.sigma < tolerances.CHECK_POINT_TIMES, "without it the share is a guess, and may be a good one"
 
 
 def test_points_without_a_time_of_their_own_tell_nothing_and_are_no_problem() -> None:

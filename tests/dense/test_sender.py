@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+import grpc
 import pytest
 
 from edge_agent.clouds.sender import CloudSender
@@ -16,10 +18,11 @@ from map_service.store import Store
 from splitslam.security.client import Connector
 from splitslam.security.settings import ClientTls
 from splitslam.wire import dense_pb2 as pb
+from splitslam.wire import dense_pb2_grpc as rpc
 from splitslam.wire import session_pb2
 from tests.dense.made import OpenLink, cloud, opening
 from tests.dense.test_service import Connect, drive, stored
-from tests.map_service.harness import Operator, Service
+from tests.map_service.harness import STAMP_0_NS, Operator, Service
 
 KEYFRAMES = (1, 6, 11)
 
@@ -133,6 +136,40 @@ def test_the_scans_of_a_session_that_was_deleted_are_given_up_and_counted(
     assert shelf.dropped == {"deleted": 4}
 
 
+class _NoRoom(rpc.DenseServiceServicer):
+    """A site at its quota: every cloud may come later."""
+
+    def __init__(self) -> None:
+        self.offers = 0
+
+    def Upload(self, request_iterator: Iterator[pb.UploadRequest], context: object) -> Iterator[pb.UploadResponse]:
+        for request in request_iterator:
+            if request.HasField("open"):
+                yield pb.UploadResponse(verdict=pb.CLOUD_VERDICT_WANTED)
+            else:
+                self.offers += 1
+                yield pb.UploadResponse(verdict=pb.CLOUD_VERDICT_NO_ROOM, retry_after_ms=50)
+
+
+def test_being_put_off_is_no_progress_that_the_end_of_a_run_waits_for(tmp_path: Path, run_id: str) -> None:
+    full, server = _NoRoom(), grpc.server(ThreadPoolExecutor(2))
+    rpc.add_DenseServiceServicer_to_server(full, server)
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    server.start()
+    shelf = filled(tmp_path / "dense", opening(run_id))
+    connector = Connector(address, ClientTls())
+    sender = CloudSender(shelf, OpenLink(), address, connector, EdgeMetrics(keep=False), lambda size: None)
+    began_s = sender.moved_s
+    sender.start()
+    try:
+        wait_until(lambda: full.offers > 3 * shelf.waiting)
+        assert shelf.waiting == 4
+        assert sender.moved_s == began_s
+    finally:
+        sender.close()
+        server.stop(None).wait()
+
+
 def test_a_cloud_that_was_damaged_on_disk_is_counted_and_not_sent(
     tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
 ) -> None:
@@ -144,3 +181,23 @@ def test_a_cloud_that_was_damaged_on_disk_is_counted_and_not_sent(
         wait_until(lambda: shelf.waiting == 0)
         assert sender.sent == 2
     assert shelf.dropped == {"damaged": 1}
+
+
+def test_of_what_a_killed_agent_had_in_hand_the_service_says_which_were_keyframes_and_they_are_counted(
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
+) -> None:
+    drive(service, connect, 12, bye=True)
+    own = opening(run_id)
+    killed = CloudShelf(tmp_path / "dense", 10**7, own)
+    for seq in (*KEYFRAMES[1:], 8):
+        killed.take(seq, STAMP_0_NS + seq * 100_000_000)
+    killed.put(KEYFRAMES[0], cloud(KEYFRAMES[0]), is_key=True)
+    shelf = CloudShelf(tmp_path / "dense", 10**7, own)
+    with sending(shelf, service, OpenLink()) as sender:
+        wait_until(lambda: not shelf.due(1e9))
+        assert sender.sent == 1
+    assert shelf.dropped == {"killed": len(KEYFRAMES) - 1}
+    assert CloudShelf(tmp_path / "dense", 10**7, own).due(1e9) == []
+    store = Store(service.store_url)
+    assert stored(store, session_id) == {0: cloud(KEYFRAMES[0]), 1: None, 2: None}
+    store.close()

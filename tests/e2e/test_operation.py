@@ -20,6 +20,7 @@ from splitslam.metrics import BUILD_INFO, Kind, Metric
 from splitslam.report.numbers import assemble
 from splitslam.run.session_client import session_client
 from splitslam.security.settings import ClientTls
+from splitslam.stack.process import wait_until
 from splitslam.trace import trace_id
 from tests.e2e.commands import BIN
 
@@ -114,7 +115,9 @@ def drive(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
             with session_client(started["grpc"], report["session_id"], ClientTls()) as session:
                 info, statistics = session.info()
                 trajectory = session.trajectory()
-            time.sleep(1.5)  # three beats of the worker
+            sessions = "splitslam_map_sessions"
+            wait_until(lambda: scrape(started["metrics"]).by(sessions, "state") == {}, 30.0, "the session let go")
+            time.sleep(1.0)  # two beats of the worker
             page = scrape(started["metrics"])
         finally:
             rack.terminate()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import pytest
+
 from edge_agent.dialogue import Dialogue
 from edge_agent.metrics import EdgeMetrics
 from splitslam.wire import session_pb2 as pb
@@ -36,6 +40,24 @@ def test_a_credit_before_the_welcome_is_a_sign_of_life_and_takes_nothing_back():
     dialogue.receive(pb.StreamResponse(welcome=pb.Welcome(epoch=2, durable_seq=2, applied_seq=3)), 1.0)
     assert asked(dialogue) == [4, 5]
     assert dialogue.failure is None
+
+
+@pytest.mark.parametrize("retry_after_ms", [0, 70])
+def test_reasons_of_a_later_service_mean_what_they_say_of_trying_again(retry_after_ms: int):
+    """Protobuf's enums are open: a number that has no name here is no error."""
+    later: Any = 99
+    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
+    stream = dialogue.begin(0.0)
+    refused = pb.Refused(reason=later, detail="why", retry_after_ms=retry_after_ms)
+    dialogue.receive(pb.StreamResponse(refused=refused), 0.0)
+    if retry_after_ms:
+        assert (stream.retry_after_s, str(stream.ended), dialogue.failure) == (0.07, "refused (99): why", None)
+    else:
+        assert dialogue.failure == "the map service refused the session (99): why"
+    drain = pb.Drain(reason=later, replica="b", retry_after_ms=retry_after_ms)
+    stream = dialogue.begin(0.0)
+    dialogue.receive(pb.StreamResponse(drain=drain), 0.0)
+    assert (dialogue.replica, stream.other_replica, str(stream.ended)) == ("b", True, "drain: 99")
 
 
 def asked(dialogue: Dialogue) -> list[int | str]:

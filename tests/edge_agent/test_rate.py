@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,3 +151,15 @@ def test_what_else_went_over_the_link_leaves_less_of_the_window_and_costs_no_fra
     assert first[0] + others > 200 * 125 * 5
     assert first[1] + others <= 200 * 125 * 5
     assert dense[1].left_out == 0
+
+
+def test_without_a_budget_nothing_is_remembered_for_longer_than_a_window():
+    control = RateControl(RateSettings())
+    drive(control, 200, 10)
+    tracemalloc.start()
+    try:
+        for k in range(200, 5200):
+            control.sent(k * SCAN_NS, False, 400, 400, 900)
+        assert tracemalloc.get_traced_memory()[0] < 50_000, "70 bytes a frame are 60 MB a day"
+    finally:
+        tracemalloc.stop()

@@ -10,6 +10,7 @@ from edge_agent.metrics import EdgeMetrics
 from edge_agent.reader import EventQueue, Reader, TimedEvent
 from splitslam.errors import InputError
 from splitslam.scan import Scan
+from splitslam.stack.process import wait_until
 from tests.edge_agent.test_loop import SCAN_NS, imu_at, scan
 
 
@@ -24,6 +25,10 @@ def events(count: int, imu_per_scan: int = 10, step_ns: int = 10_000_000) -> Ite
 
 def flat(batches: list[list[TimedEvent]]) -> list[TimedEvent]:
     return [event for batch in batches for event in batch]
+
+
+def scans_in(events: list[TimedEvent]) -> int:
+    return sum(isinstance(event, Scan) for _, event in events)
 
 
 def test_in_lockstep_nothing_is_lost_and_batches_end_at_scans():
@@ -41,7 +46,7 @@ def test_in_lockstep_nothing_is_lost_and_batches_end_at_scans():
 
 def test_in_lockstep_no_more_scans_wait_than_the_queue_holds():
     queue = EventQueue(2, may_drop=False, metrics=EdgeMetrics())
-    read = []
+    read: list[TimedEvent] = []
 
     def watched() -> Iterator[TimedEvent]:
         for event in events(20):
@@ -50,10 +55,11 @@ def test_in_lockstep_no_more_scans_wait_than_the_queue_holds():
 
     reader = Reader(watched(), queue, realtime=False)
     reader.start()
+    wait_until(lambda: scans_in(read) >= 3, 10.0, "as many scans as fit")
     time.sleep(0.1)
-    assert sum(isinstance(data, Scan) for _, data in read) == 3
+    assert scans_in(read) == 3
     reader.stop()
-    reader.join(1.0)
+    reader.join(10.0)
     assert not reader.is_alive()
 
 

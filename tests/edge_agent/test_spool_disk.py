@@ -16,6 +16,7 @@ from edge_agent.spool import Spool
 from edge_agent.spool import spool as spool_module
 from tests.edge_agent.test_spool import ROOM, frame, kept
 from tests.logs.said import said
+from tests.missing import missing
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
     if os.getuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("no file system can be mounted here")
+        missing("no file system can be mounted here: root, and the right to do it, is needed")
     yield disk
     subprocess.run(["umount", "-l", str(disk)], check=True)
 

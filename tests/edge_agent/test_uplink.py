@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
 from splitslam.errors import InputError
 from splitslam.metrics import Family
-from splitslam.stack.process import wait_until
+from splitslam.stack.process import free_port, wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService, Fault
 from tests.edge_agent.relay import CountingRelay
@@ -104,7 +103,7 @@ def test_a_frozen_replica_is_left_by_another_route_key():
     with service, uplink_to(service.address) as uplink:
         started_s = time.monotonic()
         uplink.wait_welcome()
-        assert time.monotonic() - started_s < 2.0
+        assert time.monotonic() - started_s < 5.0  # it would wait for ever
     assert [key[-2:] for key in service.route_keys] == ["#0", "#1"]
     assert [hello.attempt for hello in service.hellos] == [0, 1]
 
@@ -129,8 +128,7 @@ def test_a_refusal_for_good_is_one_line_that_says_why():
 
 
 def test_an_unreachable_server_is_one_line_that_names_it():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    port = free_port()
     settings = FAST.model_copy(update={"connect_timeout_s": 0.5})
     with uplink_to(f"127.0.0.1:{port}", settings) as uplink, pytest.raises(InputError) as caught:
         uplink.wait_welcome()
@@ -140,8 +138,6 @@ def test_an_unreachable_server_is_one_line_that_names_it():
 
 def test_a_server_that_comes_up_late_is_waited_for():
     service = FakeService()
-    with service:
-        pass  # take a port and free it again
     with uplink_to(service.address) as uplink:
         time.sleep(0.3)
         with service:
@@ -202,7 +198,7 @@ def test_a_lost_answer_to_bye_still_ends_the_run():
     with service, uplink_to(service.address) as uplink:
         send_all(uplink, 3)
         service.finished = True
-        stream = uplink._stream
+        stream = uplink._shared.stream
         assert stream is not None
         stream._call.cancel()
         assert uplink.finish(3) is not None
@@ -242,7 +238,7 @@ def test_the_lower_of_the_configured_and_the_advised_limit_holds(configured: flo
 
 
 def test_a_backlog_is_sent_within_the_limit():
-    """20 frames of 2 kB wait when the service comes up: 32 kbit/s let 21 kB of them go at once, the rest in time."""
+    """13 frames of 2 kB wait when the service comes up: 32 kbit/s let 21 kB of them go at once, the rest in time."""
     settings = FAST.model_copy(update={"max_kbps": 32, "answer_timeout_s": 10.0})
     with FakeService(window=64) as service:
         service.stop()
@@ -250,10 +246,12 @@ def test_a_backlog_is_sent_within_the_limit():
             for seq in range(1, 14):
                 uplink.send(frame(seq))
             assert uplink.backlog
+            began_s = time.monotonic()
             service.start()
             assert uplink.wait_welcome()
             time.sleep(1.0)
-            assert 0 < len(service.received) <= 10
+            received, took_s = len(service.received), time.monotonic() - began_s
+            assert 0 < 2000 * received < 21_000 + 4200 * took_s
             assert uplink.wait_answered(13)
             assert not uplink.backlog
 
@@ -276,7 +274,8 @@ def test_the_kernel_s_byte_count_is_what_a_relay_sees():
             send_all(uplink, 30, first=31)
             uplink.finish(60)
         counted = uplink.tcp_bytes()
-        time.sleep(0.2)
+        for seen, kernel in ((lambda: relay.up, counted.sent), (lambda: relay.down, counted.received)):
+            wait_until(lambda s=seen, k=kernel: s() >= 0.98 * k, 10.0, "what the kernel has on its way")
         relay.close()
     assert counted.sent == pytest.approx(relay.up, rel=0.02)
     assert counted.received == pytest.approx(relay.down, rel=0.02)

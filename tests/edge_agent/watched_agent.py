@@ -14,13 +14,13 @@ from typing import Any
 gc.disable()  # as edge_agent.__main__ does
 from numba.core.dispatcher import Dispatcher  # noqa: E402
 
-import edge_agent.daemon as daemon  # noqa: E402
+from edge_agent import assembly, daemon  # noqa: E402
 from edge_agent.config import AgentConfig  # noqa: E402
 from edge_agent.sink import AgentSink  # noqa: E402
 from splitslam.config import load  # noqa: E402
 
 report: dict[str, Any] = {"first_frame_cpu_s": None}
-warm_up, on_frame = daemon.warm_up, AgentSink.on_frame
+warm_up, on_frame = assembly.warm_up, AgentSink.on_frame
 
 
 def signatures() -> set[str]:
@@ -45,7 +45,7 @@ def watched_frame(self: AgentSink, *arguments: Any) -> Any:
     return message
 
 
-daemon.warm_up = watched_warm_up
+assembly.warm_up = watched_warm_up
 AgentSink.on_frame = watched_frame  # pyright: ignore[reportAttributeAccessIssue]
 daemon.run_agent(load(AgentConfig, Path(sys.argv[1]), "UNUSED"), threading.Event())
 warm = report.pop("warm")

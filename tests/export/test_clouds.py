@@ -178,3 +178,12 @@ def test_the_ends_of_the_earth_have_no_utm() -> None:
 
     with pytest.raises(InputError, match="UTM"):
         InUtm(replace(YOKOHAMA, latitude_deg=88.0))
+
+
+@pytest.mark.parametrize("name", ["Müllhalde 東", "two\nelement vertex 5\nlines"], ids=["letters", "lines"])
+@pytest.mark.parametrize(("kind", "read"), [("ply", read_ply), ("pcd", read_pcd)])
+def test_a_run_of_any_name_is_written_into_a_header_of_ascii_lines(name: str, kind: str, read: Any, tmp_path: Path):
+    """The folder of a run is called what its owner likes."""
+    path = tmp_path / f"map.{kind}"
+    count = cloud_writer(kind)(path, iter(MADE), InMap(), name)
+    assert len(read(path)[0]) == count

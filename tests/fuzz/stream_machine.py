@@ -84,7 +84,7 @@ class StreamMachine(RuleBasedStateMachine):
     @property
     def poisoned(self) -> int | None:
         """The frame on which the pipeline has failed before."""
-        return self.host._poison.get(f"rover-7/{self.run_id}")
+        return self.host._frames._failed.get(f"rover-7/{self.run_id}")
 
     def stop(self) -> None:
         """As a kill does: what the committing thread has not begun is lost."""

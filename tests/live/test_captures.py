@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import socket
 import struct
 import sys
 from collections import Counter
@@ -18,9 +19,11 @@ import velodyne_decoder as vd
 
 from edge_agent.sources import Counts
 from edge_agent.sources.live import clock
+from edge_agent.sources.live import source as source_module
 from edge_agent.sources.live.clock import RunClock
 from edge_agent.sources.live.opening import open_live
 from edge_agent.sources.live.ouster import open_ouster
+from edge_agent.sources.live.sensor_clock import SensorClock
 from edge_agent.sources.live.turns import PACKET_BYTES
 from splitslam.errors import InputError
 from splitslam.pcap import Datagram, datagrams
@@ -200,6 +203,31 @@ def test_an_ousters_own_imu_is_in_si_at_its_own_rate_and_sits_where_the_metadata
     np.testing.assert_allclose(listener.source.robot.T_lidar_imu[:3, 3], [0.006253, -0.011775, 0.007645], atol=1e-9)
     scans = listener.of(Scan)
     assert scans[0].stamp_ns - 20_000_000 < samples.stamps_ns[0] < scans[-1].end_ns  # one clock
+
+
+def test_an_ousters_imu_packet_of_a_time_beyond_64_bits_is_counted(shared_data: Path, tmp_path: Path):
+    dropped: Counter[str] = Counter()
+    robot = ouster_robot(OS128, shared_data, tmp_path)
+    feed = open_ouster(robot, SensorClock("lidar"), Counts(), dropped).imu
+    packet = next(packet for packet in ouster_packets(OS128, shared_data) if packet.port == IMU_PORT).data
+    assert not list(feed.take(struct.pack("<3Q", *(2**64 - 1,) * 3) + packet[24:], 10**18))
+    assert dropped == {"imu_time_jump": 1}
+    assert len(list(feed.take(packet, 10**18))) == 1
+
+
+def test_what_waits_for_a_clock_that_nobody_tells_does_not_pile_up(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """LiDAR packets of another profile than the metadata's: the IMU's alone are understood."""
+    monkeypatch.setattr(source_module, "_HELD_NS", 300_000_000)
+    data = [packet.data for packet in ouster_packets(OS128, shared_data) if packet.port == IMU_PORT]
+    with wire.listening(ouster_robot(OS128, shared_data, tmp_path), wire.config()) as listener:
+        port = wire.ports_of(listener.source)[1]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            for packet in data:
+                out.sendto(packet, ("127.0.0.1", port))
+        listener.until(lambda: listener.source.dropped["clock_unknown"] == len(data))
+    assert not listener.heard
 
 
 @pytest.mark.parametrize("seed", [1, 2])

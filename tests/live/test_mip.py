@@ -124,6 +124,14 @@ def test_gps_time_is_utc_and_taken_while_it_is_locked():
     assert stamps == [utc_ns, utc_ns + 10**9, 2, 3]
 
 
+@pytest.mark.parametrize(("week", "second"), [(65_535, 1.0), (0, 604_799.0), (2300, float("nan")), (2300, -1.0)])
+def test_whatever_a_receiver_says_of_the_time_ends_nothing(week: int, second: float):
+    feed = made_feed()
+    for reference_ns in (None, 2**64 - 1, 7):
+        (reading,) = feed.take(mip_sample(gps=(second, week, 0b111), reference_ns=reference_ns), 10**18)
+        assert isinstance(reading.event, ImuSamples)
+
+
 def test_once_gps_time_is_chosen_a_lost_lock_does_not_change_the_clock():
     feed = made_feed()
     clock = feed._clock

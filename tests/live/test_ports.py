@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import select
 import socket
+import termios
 import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import serial
 
 from edge_agent.live_settings import Serial, Tcp
 from edge_agent.sources.live.arrivals import ArrivalClock
@@ -19,6 +22,8 @@ from edge_agent.sources.live.ports import Port
 from edge_agent.sources.live.stream_ports import SerialPort, TcpPort
 from edge_agent.sources.live.udp_port import UdpPort
 from splitslam.errors import InputError
+from splitslam.stack.process import free_port
+from tests.live import wire
 
 
 def udp_port(sender: str | None = None, receive_bytes: int = 2**20) -> UdpPort:
@@ -47,13 +52,18 @@ def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.
 def test_a_packet_keeps_the_time_at_which_it_came_although_nobody_looked():
     port, clock = udp_port(), ArrivalClock()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        before_ns = clock.now_ns()
-        out.sendto(b"early", ("127.0.0.1", port.port))
-        time.sleep(0.3)
-    ((data, arrival_ns),) = port.read()
-    assert data == b"early"
-    assert -5_000_000 < arrival_ns - before_ns < 100_000_000
+        for _ in range(20):  # the kernel begins to stamp some time after it was asked to
+            before_ns = clock.now_ns()
+            out.sendto(b"early", ("127.0.0.1", port.port))
+            sent_ns = clock.now_ns()
+            time.sleep(0.1)
+            ((data, arrival_ns),) = port.read()
+            if stamped := arrival_ns < sent_ns + 50_000_000:
+                break
     port.close()
+    assert data == b"early"
+    assert stamped
+    assert before_ns - 5_000_000 < arrival_ns < sent_ns + 5_000_000
 
 
 def test_what_a_full_buffer_loses_is_counted():
@@ -115,6 +125,44 @@ def test_a_serial_device_that_is_not_there_yet_is_waited_for_and_opened_again_wh
     port.close()
 
 
+def test_a_serial_device_that_vanishes_while_it_is_opened_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def unplugged(*_: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    with wire.terminal(tmp_path) as (device, _), monkeypatch.context() as patched:
+        patched.setattr(termios, "tcflush", unplugged)
+        port = SerialPort("imu", Serial(device=device), ArrivalClock())
+        assert port.fileno is None
+        patched.undo()
+        deadline_s = time.monotonic() + 10.0
+        while port.fileno is None and time.monotonic() < deadline_s:
+            port.tend()
+        assert port.fileno is not None
+        port.close()
+
+
+def test_a_rate_that_the_device_cannot_do_is_one_clear_line_at_the_start_and_waited_for_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def refused(*_: object) -> None:
+        raise ValueError("Failed to set custom baud rate (31337): refused")
+
+    monkeypatch.setattr(serial.Serial, "_set_special_baudrate", refused)
+    with (
+        wire.terminal(tmp_path) as (device, _),
+        pytest.raises(InputError, match=r"source.live.imu.serial.baud: 31337: .* a rate that the device can do"),
+    ):
+        SerialPort("imu", Serial(device=device, baud=31337), ArrivalClock())
+    device.unlink()
+    port = SerialPort("imu", Serial(device=device, baud=31337), ArrivalClock())
+    with wire.terminal(tmp_path):  # now it is plugged in
+        time.sleep(1.1)
+        port.tend()
+        assert port.fileno is None
+
+
 def test_a_server_that_goes_away_is_connected_to_again():
     server = socket.create_server(("127.0.0.1", 0))
     port = TcpPort("gnss", Tcp(host="127.0.0.1", port=server.getsockname()[1]), ArrivalClock())
@@ -142,8 +190,7 @@ def test_a_server_that_goes_away_is_connected_to_again():
 
 
 def test_nobody_listening_is_tried_again_without_an_end():
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        number = closed.getsockname()[1]
+    number = free_port()
     port = TcpPort("gnss", Tcp(host="127.0.0.1", port=number), ArrivalClock())
     for _ in range(3):
         port.tend()

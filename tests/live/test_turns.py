@@ -43,6 +43,22 @@ def test_lost_packets_are_counted_and_the_turn_goes_on_with_what_it_has(seed: in
     assert counts["start"] + counts["used"] == len(kept)
 
 
+def test_a_sensor_that_stands_still_ends_its_turns_all_the_same_and_nothing_piles_up():
+    turns, most = Turns("vlp16", 10.0, Counter()), 0
+    still = data_packet(30)
+    found: list[list[Packet]] = []
+    for number in range(10_000):
+        packet = still[:1200] + data_packet(number, 1e6)[1200:]
+        found += turns.add(packet, T0_NS + 10**9)
+        most = max(most, len(turns._packets))
+    assert most < 2_000
+    assert not found
+    assert turns.counts["start"] > 8_000
+    for number in range(10_000, 10_400):
+        found += turns.add(data_packet(number, 1e6), T0_NS + 10**9)
+    assert [len(turn) for turn in found[1:]] == [75, 76, 75]
+
+
 @pytest.mark.parametrize("at", [100, 149, 150, 151, 226])
 def test_packets_that_change_places_are_put_in_order_across_the_wrap_too(at: int):
     numbers = list(WHOLE)

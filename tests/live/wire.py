@@ -85,7 +85,7 @@ class Listener:
         """Ends it; how long that took, s."""
         began_s = time.monotonic()
         self.source.close()
-        self._thread.join(5.0)
+        self._thread.join(20.0)
         assert not self._thread.is_alive()
         return time.monotonic() - began_s
 

@@ -135,6 +135,8 @@ class FakePipeline:
             case "raise":
                 raise RuntimeError("told to")
             case "sleep":
+                if "begun" in frame:
+                    open(frame["begun"], "w").close()
                 time.sleep(frame["seconds"])
 
     @property

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import grpc
 import yaml
 
 from splitslam.robot import Robot, robot_to_yaml
+from splitslam.stack.process import free_port
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from tests.conftest import ROOT
@@ -26,12 +27,6 @@ from tests.map_service.fakes import payload
 
 WAIT_S = 30.0
 STAMP_0_NS = 1_700_000_000_000_000_000
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def running(pid: int) -> bool:
@@ -119,6 +114,14 @@ class Service:
         with urllib.request.urlopen(f"http://{self.started['metrics']}/metrics", timeout=WAIT_S) as page:
             lines = page.read().decode().splitlines()
         return {name: float(value) for name, value in (l.rsplit(" ", 1) for l in lines if not l.startswith("#"))}
+
+    def wait_metrics(self, done: Callable[[dict[str, float]], bool], what: str) -> dict[str, float]:
+        """The first page of which `done` is true: workers tell what they count twice a second."""
+        until_s = time.monotonic() + WAIT_S
+        while not done(page := self.metrics()):
+            assert time.monotonic() < until_s, what
+            time.sleep(0.05)
+        return page
 
 
 def hello(run_id: str, /, **changes: Any) -> pb.Hello:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.map_service.fakes import payload
 from tests.map_service.harness import Service, descendants, frame
@@ -29,7 +31,7 @@ def test_sigterm_drains_tells_robots_commits_and_exits_with_zero(
     assert service.workers()[0] in processes
     start_s = time.monotonic()
     assert service.terminate() == 0
-    assert time.monotonic() - start_s < 10
+    assert time.monotonic() - start_s < 20
     assert next(watch).status == health_pb2.HealthCheckResponse.NOT_SERVING
     drain = robot.next("drain")
     assert drain.reason == pb.DRAIN_REASON_SHUTDOWN
@@ -41,11 +43,13 @@ def test_sigterm_drains_tells_robots_commits_and_exits_with_zero(
     assert connect(service).next("welcome").durable_seq == 8
 
 
-def test_a_service_that_drains_answers_what_it_has_and_takes_no_new_stream(service: Service, connect: Connect) -> None:
-    robot = connect(service)
+def test_a_service_that_drains_answers_what_it_has_and_takes_no_new_stream(
+    service: Service, connect: Connect, tmp_path: Path
+) -> None:
+    robot, begun = connect(service), tmp_path / "begun"
     robot.next("welcome")
-    robot.send(frame(1, payload("sleep", seconds=2.0)))
-    time.sleep(0.3)
+    robot.send(frame(1, payload("sleep", seconds=2.0, begun=str(begun))))
+    wait_until(begun.exists, 20.0, "the frame at work")
     assert service.process is not None
     service.process.terminate()
     robot.next("drain")
@@ -56,14 +60,16 @@ def test_a_service_that_drains_answers_what_it_has_and_takes_no_new_stream(servi
     assert service.process.wait(10) == 0
 
 
-def test_a_drain_that_takes_too_long_is_cut_short(start_service: Callable[..., Service], connect: Connect) -> None:
-    service = start_service(drain_s=1.0)
+def test_a_drain_that_takes_too_long_is_cut_short(
+    start_service: Callable[..., Service], connect: Connect, tmp_path: Path
+) -> None:
+    service, begun = start_service(drain_s=1.0), tmp_path / "begun"
     robot = connect(service)
     robot.next("welcome")
-    robot.send(frame(1, payload("sleep", seconds=60)))
-    time.sleep(0.3)
+    robot.send(frame(1, payload("sleep", seconds=60, begun=str(begun))))
+    wait_until(begun.exists, 20.0, "the frame at work")
     processes = descendants(service.pid)
     start_s = time.monotonic()
     assert service.terminate() == 0
-    assert time.monotonic() - start_s < 5
+    assert time.monotonic() - start_s < 15  # of the minute that the frame takes
     assert wait_until_gone(processes) == []

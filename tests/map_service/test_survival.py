@@ -22,7 +22,7 @@ from tests.map_service.fakes import FINAL_SHIFT_M, payload
 from tests.map_service.harness import Operator, Robot7, Service, descendants, frame, running
 
 Connect = Callable[..., Robot7]
-GONE_S = 5.0
+GONE_S = 15.0
 
 
 def wait_until_gone(pids: list[int]) -> list[int]:
@@ -141,8 +141,8 @@ def test_an_owner_that_was_overtaken_is_fenced_and_cannot_harm_the_session(
     operator = Operator(new.address)
     assert operator.poses(session_id) == final(20)
     operator.close()
-    time.sleep(1.0)
-    assert old.metrics()["splitslam_map_fenced_total"] == 1
+    fenced = "splitslam_map_fenced_total"
+    assert old.wait_metrics(lambda page: page[fenced] > 0, "the refusal counted")[fenced] == 1
 
 
 def test_a_replica_gets_a_session_back_that_another_owned_in_between(
@@ -204,7 +204,7 @@ def test_a_slow_frame_does_not_silence_the_service(service: Service, connect: Co
     robot = connect(service)
     robot.next("welcome")
     robot.send(frame(1, payload("sleep", seconds=2.5)))
-    for _ in range(4):
+    for _ in range(3):
         robot.next("credit")  # if they came after the answer, it would be dropped here
     assert robot.next("odometry").seq == 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 
 import pytest
@@ -162,8 +163,11 @@ def test_events_come_in_pages_once_each_and_those_that_are_gone_are_counted(
     assert heard(watch)[0] == [("r/2", 22), ("r/3", 1)]
 
 
+MANY = json.dumps([1, {f"r/{k}": 1 for k in range(40_000)}])  # sessions, more than a database can be asked about
+
+
 @pytest.mark.parametrize(
-    "text", ["soup", "[1]", "{}", '[1,{"a":"b"}]', "[1.5,{}]", "[-1,{}]", "[1,[]]", "null", "[" * 9999]
+    "text", ["soup", "[1]", "{}", '[1,{"a":"b"}]', "[1.5,{}]", "[-1,{}]", "[1,[]]", "null", "[" * 9999, MANY]
 )
 def test_what_is_no_cursor_is_said(text: str) -> None:
     with pytest.raises(CursorError, match="expected one of an earlier message"):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
+from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.map_service.fakes import payload
 from tests.map_service.harness import Robot7, Service, frame, hello, new_run
@@ -28,17 +30,18 @@ def test_a_session_stays_with_the_worker_that_holds_it(start_service: Callable[.
         robot.close()
 
 
-def test_sessions_are_spread_over_the_workers(start_service: Callable[..., Service]) -> None:
+def test_sessions_are_spread_over_the_workers(start_service: Callable[..., Service], tmp_path: Path) -> None:
     service = start_service(workers=2)
     robots = [Robot7(service.address, hello(new_run())) for _ in range(2)]
     for robot in robots:
         robot.ask(frame(1))
-    start_s = time.monotonic()
-    for robot in robots:
-        robot.send(frame(2, payload("sleep", seconds=1.5)))
-    for robot in robots:
-        robot.next("odometry")
-    assert time.monotonic() - start_s < 3.0, "as long as one after the other"
+    begun = tmp_path / "begun"
+    robots[0].send(frame(2, payload("sleep", seconds=3.0, begun=str(begun))))
+    wait_until(begun.exists, 20.0, "the frame at work")
+    robots[1].ask(frame(2))
+    answers = [response for response in list(robots[0].inbox.queue) if response and response.HasField("odometry")]
+    assert answers == [], "one waited for the other"
+    assert robots[0].next("odometry").seq == 2
     for robot in robots:
         robot.close()
 
@@ -56,13 +59,14 @@ def test_a_robot_over_the_limit_is_refused_with_a_time_to_come_back_but_never_on
 
 
 def test_no_new_robot_is_taken_while_a_frame_waits_too_long(
-    start_service: Callable[..., Service], connect: Connect
+    start_service: Callable[..., Service], connect: Connect, tmp_path: Path
 ) -> None:
-    service = start_service(limits={"max_delay_s": 0.3})
+    service, begun = start_service(limits={"max_delay_s": 0.3}), tmp_path / "begun"
     first = connect(service)
     first.next("welcome")
-    first.send(frame(1, payload("sleep", seconds=1.5)))
-    time.sleep(0.6)
+    first.send(frame(1, payload("sleep", seconds=3.0, begun=str(begun))))
+    wait_until(begun.exists, 20.0, "the frame at work")
+    time.sleep(0.4)
     assert "has waited" in connect(service, run_id=new_run()).next("refused").detail
     assert first.next("odometry").seq == 1
     connect(service, run_id=new_run()).next("welcome")

@@ -118,10 +118,11 @@ def test_a_best_effort_writer_that_comes_after_a_reliable_one_is_heard_as_well_a
         sure(imu(k))
         writer.write(topic.data_type(imu(-1 - k)))
         time.sleep(0.001)
-    eventually(lambda: {imu(199), imu(-200)} <= set(heard))
+    eventually(lambda: imu(199) in heard)
+    eventually(lambda: writer.write(topic.data_type(imu(-1000))) or imu(-1000) in heard)  # any of them may be lost
     numbers = [CODEC.decode(raw, made.IMU).angular_velocity.z for raw in heard]
     assert [number for number in numbers if number > 0] == [float(k) for k in range(1, 200)]
-    best = [number for number in numbers if number < -1]
+    best = [number for number in numbers if -1000 < number < -1]
     assert len(set(best)) == len(best) > 150
 
 

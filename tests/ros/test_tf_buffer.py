@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from edge_agent.ros import tf_buffer
 from edge_agent.ros.codec import Codec
 from edge_agent.ros.tf_buffer import TfBuffer, transform_of
 from splitslam import se3
@@ -97,3 +98,23 @@ def test_what_is_no_rigid_transform_is_refused(quat: tuple[float, ...]):
     vector = codec.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
     rotation = codec.make("geometry_msgs/msg/Quaternion", *quat)
     assert transform_of(codec.make("geometry_msgs/msg/Transform", vector, rotation)) is None
+
+
+def test_frames_that_are_named_once_and_never_again_make_room_and_the_robots_own_stay():
+    buffer = tree()
+    for k in range(5 * tf_buffer._MOST_FRAMES):
+        buffer.add("odom", f"track_{k}", (5 + k) * S // 100, pose(1.0))
+        if k % 1000 == 0:
+            buffer.add("odom", "base_footprint", 5 * S + k, pose(2.0))
+    assert len(buffer._edges) == tf_buffer._MOST_FRAMES
+    assert buffer.lookup("odom", "base_link", 5 * S) is not None
+    assert buffer.lookup("velodyne", "imu_link") is not None
+    assert buffer.parent("track_0") is None
+
+
+def test_fixed_frames_without_end_are_bounded_as_well():
+    buffer = TfBuffer()
+    for k in range(2 * tf_buffer._MOST_FRAMES):
+        buffer.add("map", f"marker_{k}", 0, pose(1.0), fixed=True)
+    assert len(buffer._edges) == tf_buffer._MOST_FRAMES
+    assert buffer.parent(f"marker_{2 * tf_buffer._MOST_FRAMES - 1}") == "map"

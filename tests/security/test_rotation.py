@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
+import queue
 import socket
 import ssl
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import grpc
 import pytest
 from cryptography import x509
 
 from edge_agent.config import UplinkConfig
 from splitslam.security.authority import Authority, Issued
+from splitslam.security.client import Connector
 from splitslam.security.identity import Identity
 from splitslam.security.settings import ClientTls
 from splitslam.stack.process import wait_until
 from splitslam.stack.robot import LightRobot
+from splitslam.wire import dense_pb2, dense_pb2_grpc
+from tests.map_service.harness import new_run
 from tests.security.fleet import FLEET, HOST, Client, Fleet, fleet_of
 from tests.stack.conftest import REEL
 
@@ -112,6 +117,29 @@ def test_a_certificate_that_is_revoked_loses_its_open_stream(fleet: Fleet) -> No
     wait_until(lambda: robot.failure is not None, 8.0, "the stream ended")
     robot.close()
     assert "revoked" in str(robot.failure)
+
+
+def test_a_certificate_that_is_revoked_sends_no_more_whole_scans_on_an_open_stream(fleet: Fleet) -> None:
+    issued = fleet.certificate("robot", "rover-9", "north")
+    connector = Connector(fleet.envoy.address, fleet.tls(issued))
+    requests: queue.SimpleQueue[dense_pb2.UploadRequest | None] = queue.SimpleQueue()
+    requests.put(dense_pb2.UploadRequest(open=dense_pb2.UploadOpen(robot_id="rover-9", run_id=new_run())))
+    offer = dense_pb2.UploadRequest(offer=dense_pb2.CloudOffer(seq=1, stamp_ns=1, size=1))
+    with connector.channel() as channel:
+        stub = dense_pb2_grpc.DenseServiceStub(channel)
+        call = stub.Upload(iter(requests.get, None), metadata=connector.metadata(), timeout=2 * SETTLED_S)
+        assert next(call).verdict == dense_pb2.CLOUD_VERDICT_WANTED
+        requests.put(offer)
+        assert next(call).verdict == dense_pb2.CLOUD_VERDICT_NO_SESSION
+        fleet.authority.revoke(issued)
+
+        def is_refused() -> bool:
+            requests.put(offer)
+            return next(call, None) is None
+
+        with pytest.raises(grpc.RpcError, match="revoked"):
+            wait_until(is_refused, SETTLED_S, "the stream ended")
+        requests.put(None)
 
 
 def test_an_expired_certificate_is_named_by_the_robot_that_has_it(fleet: Fleet) -> None:

@@ -204,6 +204,25 @@ def test_nan_samples_and_empty_or_nan_scans_are_dropped():
     assert sequencer.dropped == {"imu_nan": 1, "empty": 1, "nan": 1}
 
 
+@pytest.mark.parametrize("at_once", [False, True])
+@pytest.mark.parametrize("value", [-101.0, 1e5, 1e30, -1e300])
+def test_one_sample_that_no_sensor_can_mean_is_dropped_and_counted(value: float, at_once: bool):
+    """One acceleration of 1e6 m/s^2 among 500 a second moves the pose by 25 m a sample."""
+    for field in ("gyro_radps", "accel_mps2"):
+        sequencer, bad = with_imu(), imu(0, 10, 20)
+        getattr(bad, field)[1, 2] = value if field == "gyro_radps" else 10.0 * value
+        out = sequencer.push_imu(bad, [0, 10 * MS, 20 * MS]) if at_once else sequencer.push(bad)
+        assert [stamp for chunk in told(out) for stamp in chunk] == [0, 20]
+        assert sequencer.dropped == {"imu_range": 1}
+
+
+def test_what_a_hard_knock_shows_is_a_measurement():
+    sequencer, hard = with_imu(), imu(0, 10)
+    hard.accel_mps2[1], hard.gyro_radps[1] = (-400.0, 0.0, 400.0), 70.0
+    assert told(sequencer.push(hard)) == [[0, 10]]
+    assert not sequencer.dropped
+
+
 @given(st.lists(st.tuples(st.sampled_from(["imu", "scan"]), st.integers(0, 900) | st.integers(0, 10_000)), max_size=60))
 def test_whatever_comes_time_goes_forward_and_nothing_is_lost_silently(steps):
     sequencer = with_imu()

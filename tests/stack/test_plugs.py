@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 
@@ -21,10 +22,19 @@ Drive = Callable[..., list[LightRobot]]
 QUIET_GAP_S = 0.15  # between two answers at 10 Hz, of a machine with nothing else to do
 
 
+def over_before(robot: LightRobot, before_s: float) -> float:
+    """The longest time between two of its answers that came before that."""
+    times = [heard.at_s for heard in robot.heard if heard.at_s < before_s]
+    return max(b - a for a, b in itertools.pairwise(times))
+
+
 def check_gaps(robots: list[LightRobot], since_s: float, bar_s: float) -> None:
-    """bar_s: of a quiet machine; on a busy one, where undisturbed answers are late too, in proportion."""
-    undisturbed_s = max(robot.gap_s(until_s=since_s) for robot in robots)
-    allowed_s = bar_s * max(1.0, undisturbed_s / QUIET_GAP_S)
+    """bar_s: of a quiet machine, which `make chaos` holds; here its order of size.
+
+    On a busy machine, where undisturbed answers are late too, in proportion.
+    """
+    undisturbed_s = max(over_before(robot, since_s) for robot in robots)
+    allowed_s = bars.GAP_SLACK * bar_s * max(1.0, undisturbed_s / QUIET_GAP_S)
     assert [gap for robot in robots if (gap := robot.gap_s(since_s)) > allowed_s] == []
 
 
@@ -49,7 +59,7 @@ def go_on(robots: list[LightRobot], frames: int = 15) -> None:
         robot.wait_answers(robot.answered + frames)
 
 
-def test_after_sigkill_of_a_replica_others_go_on_within_half_a_second(whole: Stack, drive: Drive) -> None:
+def test_after_sigkill_of_a_replica_others_go_on(whole: Stack, drive: Drive) -> None:
     robots = drive(3)
     wait_level(whole, [1, 1, 1])
     attempts, retries = [robot.attempt for robot in robots], proxy_retries(whole)
@@ -83,7 +93,10 @@ def test_a_replica_that_is_drained_says_where_there_is_room_and_leaves_nothing_t
 
 
 def test_a_frozen_replica_is_left_and_cannot_write_when_it_wakes(whole: Stack, drive: Drive) -> None:
-    """Front and workers stop for 3 s, with frames answered and not committed: keyframes are seq 1, 6, 11, ..."""
+    """Front and workers stop until all robots go on elsewhere, with frames answered and not committed.
+
+    Keyframes are seq 1, 6, 11, ...
+    """
     robots = drive(3, UplinkConfig())
     frozen = fullest(whole)
     before = fenced(frozen)
@@ -92,12 +105,11 @@ def test_a_frozen_replica_is_left_and_cannot_write_when_it_wakes(whole: Stack, d
     workers = frozen.workers()
     since_s = time.monotonic()
     frozen.freeze()
-    wait_until(lambda: frozen.address not in whole.envoy.healthy(), 3.0, "the proxy to take it out")
-    time.sleep(max(0.0, since_s + 3.0 - time.monotonic()))
-    frozen.thaw()
+    wait_until(lambda: frozen.address not in whole.envoy.healthy(), 20.0, "the proxy to take it out")
     go_on(robots)
+    frozen.thaw()
     check_gaps(robots, since_s, bars.FROZEN_REPLICA_GAP_S)
-    wait_until(lambda: fenced(frozen) > before, 5.0, "the zombie's commit refused")
+    wait_until(lambda: fenced(frozen) > before, 20.0, "the zombie's commit refused")
     assert frozen.alive
     assert frozen.workers() == workers, "a worker was killed for the time in which its front was frozen"
     check_each_frame_once(whole, robots)
@@ -118,7 +130,7 @@ def test_a_new_replica_takes_its_share_and_sessions_then_stay_where_they_are(who
     assert loads(whole) == [1, 1, 2]
     gaps_s = sorted(robot.gap_s(since_s) for robot in robots)
     stayed_s = gaps_s[1]  # two of four were moved: what the start of a program costs everybody is not the move's
-    assert gaps_s[-1] <= bars.DRAINED_REPLICA_GAP_S * max(1.0, stayed_s / QUIET_GAP_S)
+    assert gaps_s[-1] <= bars.GAP_SLACK * bars.DRAINED_REPLICA_GAP_S * max(1.0, stayed_s / QUIET_GAP_S)
     check_each_frame_once(whole, robots)
 
 

@@ -77,6 +77,14 @@ def test_only_keyframes_that_are_new_or_have_moved_are_told() -> None:
     assert list(tell(map_of(turned, at(1.508), at(6)))) == [0]
 
 
+def test_a_map_that_has_lost_its_newest_keyframes_is_told_whole_again() -> None:
+    told = MapTold()
+    told.fill(view_pb2.MapSeen(), map_of(at(0), at(1), at(2), loops=2))
+    message = view_pb2.MapSeen()
+    told.fill(message, map_of(at(0), at(1), loops=1))
+    assert (list(message.keyframes), list(message.loops)) == ([0, 1], [0, 1])
+
+
 def test_loops_are_told_when_there_are_more() -> None:
     told, messages = MapTold(), [view_pb2.MapSeen() for _ in range(3)]
     for message, loops in zip(messages, (1, 1, 2), strict=True):

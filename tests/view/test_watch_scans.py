@@ -90,7 +90,7 @@ def test_a_watcher_of_one_robot_is_shown_no_other(service: Service, connect: Con
         assert views(this, 1)[0].scan.answer.seq == 1
         begun_s = time.monotonic()
         assert not next(other).session_id  # a sign of life, a second later
-        assert time.monotonic() - begun_s < 3.0
+        assert time.monotonic() - begun_s < 15.0
 
 
 def test_a_watcher_that_hangs_keeps_no_robot_waiting_and_is_told_what_it_has_missed(

@@ -21,7 +21,7 @@ from edge_agent.sources.live.smoothing import SmoothedArrivals
 from edge_agent.sources.source import Counts
 from splitslam.scan import ImuSamples
 
-_LONGEST_NS = 1 << 62  # a device's own time beyond is none
+_LONGEST_NS = 1 << 62  # a time beyond is none, whosever it is
 SYNC = b"\x75\x65"
 _HEAD, _CHECK = 4, 2
 _SENSOR_DATA = 0x80
@@ -137,7 +137,8 @@ class MipFeed:
                 if 0.0 <= time_of_week_s < _WEEK_S and self._in_gps_time:
                     since_s = _GPS_EPOCH_S - _LEAP_S + week * _WEEK_S
                     stamp_ns = since_s * 1_000_000_000 + round(time_of_week_s * 1e9)
-                    return stamp_ns, TimeBase.GPS if locked else TimeBase.OWN
+                    if stamp_ns < _LONGEST_NS:
+                        return stamp_ns, TimeBase.GPS if locked else TimeBase.OWN
         if _REFERENCE_TIME in fields:
             stamp_ns = _NS.unpack(fields[_REFERENCE_TIME])[0]
             if stamp_ns < _LONGEST_NS:

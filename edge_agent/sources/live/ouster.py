@@ -33,6 +33,7 @@ _log = logging.getLogger(__name__)
 _TIMESTAMP, _MEASUREMENT, _STATUS = 0, 2, 3  # headers of a column
 _VALID = 1
 _STANDARD_GRAVITY_MPS2 = 9.80665
+_LONGEST_NS = 1 << 62  # no clock gets so far, and 64 bits must do for sums
 _EPOCH_LIKE_NS = 10**18  # since 2001: a time that somebody has set; since it was switched on is less
 _BASES = {"TIME_FROM_PTP_1588": TimeBase.PTP, "TIME_FROM_SYNC_PULSE_IN": TimeBase.GPS}
 
@@ -220,6 +221,9 @@ class OusterImuFeed:
             return
         if not np.isfinite([*gyro_radps, *accel_mps2]).all():
             self._dropped["imu_nan"] += 1
+            return
+        if stamp_ns >= _LONGEST_NS:
+            self._dropped["imu_time_jump"] += 1
             return
         stamps_ns = np.array([stamp_ns + self._time_offset_ns], dtype=np.int64)
         yield Reading("imu", self._clock, ImuSamples(stamps_ns, np.array([gyro_radps]), np.array([accel_mps2])))

@@ -1,10 +1,12 @@
 """Live readings as ROS 2 messages for the raw ring: what `splitslam diagnose` makes of them, `splitslam run` reads.
 
 A Velodyne's turn keeps its packets, so that it is decoded again to the same points. An Ouster's becomes a point cloud.
+Stamps that a ROS message cannot hold, beyond 2038, are not kept: a sensor's clock must not end a run.
 """
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,10 @@ from edge_agent.raw_ring import RawStream
 from edge_agent.sources.bag import typestore
 from edge_agent.sources.live.turns import Packet
 from edge_agent.sources.source import Event, Tap
+from splitslam.logs import fields
 from splitslam.scan import GnssFix, ImuSamples, Scan
+
+_log = logging.getLogger(__name__)
 
 LIDAR_FRAME, IMU_FRAME, GNSS_FRAME = "lidar", "imu", "gnss"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -26,6 +31,7 @@ CLOUD_TOPIC, TURN_TOPIC, IMU_TOPIC, FIX_TOPIC = "/points", "/velodyne_packets", 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
 _DATATYPES = {"<f4": 7, "<u4": 6, "<u2": 4}  # sensor_msgs/PointField
 _UNKNOWN = np.zeros(9)
+_END_NS = (2**31 - 60) * 1_000_000_000  # builtin_interfaces/Time: int32 seconds; a message's stamps lie within seconds
 
 
 class RawMessages:
@@ -34,6 +40,7 @@ class RawMessages:
     def __init__(self, tap: Tap) -> None:
         self._tap = tap
         self._store = typestore()
+        self._told = False  # that stamps are beyond what a message holds
         self._streams = {
             kind: RawStream(topic, kind, "cdr")
             for topic, kind in ((CLOUD_TOPIC, _CLOUD), (TURN_TOPIC, _TURN), (IMU_TOPIC, _IMU), (FIX_TOPIC, _FIX))
@@ -41,6 +48,14 @@ class RawMessages:
 
     def put(self, arrival_ns: int, event: Event, packets: tuple[Packet, ...], offset_ns: int) -> None:
         """One event in the run's time; offset_ns: from the sensor's clock, which packets are in, to it."""
+        stamp_ns = int(event.stamp_ns if isinstance(event, Scan | GnssFix) else event.stamps_ns[-1])
+        if not 0 <= stamp_ns < _END_NS:
+            if not self._told:
+                _log.error(
+                    "raw messages not kept", extra=fields(detail=f"stamp {stamp_ns} ns: ROS has 31 bits of seconds")
+                )
+            self._told = True
+            return
         if isinstance(event, Scan):
             if packets:
                 self._write(_TURN, arrival_ns, self._turn(event, packets, offset_ns))

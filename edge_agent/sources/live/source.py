@@ -26,6 +26,7 @@ from splitslam.robot import Robot
 _WAIT_S = 0.1  # at most, for the next packet
 _TICK_S = 0.005  # what comes within one is handed on together
 _QUIET_NS = 250_000_000  # then what a feed holds back for a next packet goes
+_HELD_NS = 10_000_000_000  # for a clock to be known: it takes three seconds, unless nothing ever tells
 
 
 @dataclass(slots=True)
@@ -163,6 +164,8 @@ class LiveSource:
                 self.dropped["clock_changed"] += 1
             elif self.clocks.ready(message.clock, now_ns):
                 yield self._emitted(came_ns, message)
+            elif now_ns - came_ns > _HELD_NS:
+                self.dropped["clock_unknown"] += 1
             else:
                 self._held.append((came_ns, age, message))
 

@@ -7,6 +7,7 @@ import errno
 import logging
 import os
 import socket
+import termios
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -69,6 +70,10 @@ class SerialPort(Reopened):
                 f"source.live.{sensor}.serial.device: {settings.device}: {error.strerror}; expected a device that the"
                 " agent's user may read (group dialout)"
             ) from None
+        except ValueError as error:
+            raise InputError(
+                f"source.live.{sensor}.serial.baud: {settings.baud}: {error}; expected a rate that the device can do"
+            ) from None
         except OSError as error:
             self.lost(str(error))
 
@@ -95,7 +100,7 @@ class SerialPort(Reopened):
         if self._serial is None and self.due:
             try:
                 self._open()
-            except OSError as error:
+            except (OSError, ValueError) as error:
                 self.lost(str(error))
 
     def close(self) -> None:
@@ -104,7 +109,7 @@ class SerialPort(Reopened):
             self._serial = None
 
     def _open(self) -> None:
-        """Raises OSError; pyserial's own error is one."""
+        """Raises OSError, ValueError for a rate that the device cannot do; pyserial's own error is an OSError."""
         import serial
 
         device, baud = str(self._settings.device), self._settings.baud
@@ -114,6 +119,8 @@ class SerialPort(Reopened):
             if error.errno == errno.EACCES:
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES)) from None
             raise
+        except termios.error as error:  # unplugged while it was set up; to Python that is no OSError
+            raise OSError(*error.args) from None
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             opened.set_low_latency_mode(True)  # USB adapters otherwise keep bytes for 16 ms
         self._serial = opened

@@ -22,6 +22,7 @@ _AZIMUTH = struct.Struct("<H")
 FULL_TURN = 36_000  # of 0.01 deg
 _MUCH = 0.5  # of a turn, that is lost in one piece
 _RESTART_NS = 1_000_000_000
+_LONGEST_NS = 2_000_000_000  # of a turn: beyond, the sensor does not turn at all, and no scan would ever end
 _BREAK = 4  # packets: more than that when a lock comes or goes is a step, and a turn is of one time
 
 
@@ -66,6 +67,8 @@ class Turns:
         if self.newest_ns and abs(sensor_ns - self.newest_ns) > limit_ns:
             done += self.flush()  # silence, or the sensor's clock has stepped
             self._done_ns = None
+        elif self._packets and sensor_ns - self._packets[0].sensor_ns > _LONGEST_NS:
+            done += self.flush()
         self._known = known
         self.newest_ns = sensor_ns
         if not self._insert(packet):

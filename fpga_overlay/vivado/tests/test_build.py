@@ -5,6 +5,7 @@ What Vivado itself makes of it has not been seen.
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -14,6 +15,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+from tests.systemd.tools import debian
 
 HERE = Path(__file__).parent
 OVERLAY = HERE.parents[1]
@@ -61,11 +64,12 @@ def summary(
 
 
 def interpreter() -> list[str]:
-    """A Tcl that runs a file: tclsh, or Python's own where it was built with one."""
+    """A Tcl that runs a file: tclsh, Python's own where it was built with one, or Debian's, which root installs."""
     if shell := shutil.which("tclsh"):
         return [shell]
-    pytest.importorskip("tkinter", reason="neither tclsh nor Python's tkinter: the build script cannot be run")
-    return [sys.executable, "-c", IN_PYTHON]
+    if importlib.util.find_spec("_tkinter"):
+        return [sys.executable, "-c", IN_PYTHON]
+    return [debian("tclsh", "tcl")]
 
 
 @dataclass(frozen=True)

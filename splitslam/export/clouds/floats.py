@@ -46,7 +46,7 @@ def _pcd_header(count: int, placing: Placing, name: str) -> bytes:
     number = f"{count:0{_COUNT_DIGITS}d}"
     lines = (
         "# .PCD v0.7 - Point Cloud Data file format",
-        f"# splitslam, {placing.description}; offset {offset}; session {name}",
+        f"# splitslam, {placing.description}; offset {offset}; session {' '.join(name.split())}",
         "VERSION 0.7",
         "FIELDS x y z intensity",
         "SIZE 4 4 4 4",

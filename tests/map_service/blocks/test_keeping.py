@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, insert, select, text
 
-from map_service import carried, schema
+from map_service import block_keeping, carried, schema
 from map_service.archive import backup, restore
 from map_service.block_keeping import MERGED, OPEN, SCANS, BlockKeeper, Kept
 from map_service.catalog import Catalog
@@ -23,6 +23,7 @@ from map_service.migrations import migrate
 from map_service.pose_at import SessionPoses
 from map_service.rows import SessionCommit
 from map_service.scan_poses import stored_scans
+from map_service.scans import Scans
 from map_service.store import Store
 from map_service.types import Commit, FactorRecord, FrameRecord, KeyframeRecord
 from tests import tolerances
@@ -197,6 +198,37 @@ def test_scans_that_cannot_be_read_stay_where_they_are_and_hold_nobody_up(store:
     assert BlockKeeper(store, FULL_RATE).run(0.0) == Kept(closed=SCANS)
     with store.reading() as connection:
         assert connection.execute(select(schema.pose_blocks.c.session)).scalars().all() == [other.key]
+
+
+@pytest.mark.parametrize("later_ns", [-1, 0])
+def test_scans_whose_stamps_do_not_rise_keep_their_rows(store: Store, key: int, later_ns: int) -> None:
+    """No service writes such; a block of them could not be read again."""
+    stamp_ns = int(ALL.stamp_ns[19]) + later_ns
+    with store.writing() as connection:
+        connection.execute(schema.frames.update().where(schema.frames.c.seq.in_([21, 22])).values(stamp_ns=stamp_ns))
+    before = numbers(store, key), followed(store, key)
+    assert BlockKeeper(store, FULL_RATE).run(0.0) == Kept()
+    assert (numbers(store, key), followed(store, key)) == before
+
+
+@pytest.mark.parametrize("harm", ["unreadable", "elsewhere", "another"])
+def test_rows_go_only_when_what_a_block_says_of_them_has_been_read_again(
+    store: Store, key: int, harm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encode = block_keeping.encode_block
+
+    def harmed(scans: Scans, *rest) -> tuple[bytes, int]:
+        if harm == "unreadable":
+            return encode(scans, *rest)[0][:-1], 0
+        if harm == "elsewhere":
+            return encode(replace(scans, T_keyframe_lidar=scans.T_keyframe_lidar + 0.01 * np.eye(4, k=3)), *rest)
+        return encode(replace(scans, seq=scans.seq + 1), *rest)
+
+    monkeypatch.setattr(block_keeping, "encode_block", harmed)
+    before = numbers(store, key), followed(store, key)
+    assert BlockKeeper(store, FULL_RATE).run(0.0) == Kept()
+    assert (numbers(store, key), followed(store, key)) == before
+    assert count(store, schema.pose_blocks) == count(store, schema.anchors) == 0
 
 
 @pytest.mark.parametrize("harm", ["content", "keyframe"])

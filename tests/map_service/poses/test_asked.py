@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 
 import grpc
@@ -20,6 +19,8 @@ from tests.map_service.fakes import FINAL_SHIFT_M, POINTS_LIDAR, payload
 from tests.map_service.harness import Robot7, Service, frame, hello, new_run
 from tests.map_service.poses.driving import Connect, bye, drive
 from tests.map_service.watching import WAIT_S, Follower, follow, kinds, of
+
+WATCHING = 'splitslam_map_watchers{call="poses"}'
 
 
 def test_what_happens_is_told_in_order_with_its_size_and_only_once_durable(
@@ -208,10 +209,11 @@ def test_the_example_of_the_documentation_moves_what_was_seen(
 
     if late:
         end()
+    service.wait_metrics(lambda page: page[WATCHING] == 0, "nobody follows")
     command = [sys.executable, "examples/reanchor.py", service.address, session_id]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as example:
         if not late:
-            time.sleep(1.0)
+            service.wait_metrics(lambda page: page[WATCHING] == 1, "the example follows")
             end()
         printed, _ = example.communicate(timeout=WAIT_S)
     assert example.returncode == 0
