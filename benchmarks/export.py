@@ -89,7 +89,9 @@ def _peak_mb() -> float:
 
 
 def measured(name: str, points: int, voxel_m: float = 0.0, folder: Path | None = None) -> Cost:
-    """The same in a process of its own; what it writes is thrown away."""
+    """The same in a process of its own; what it writes is thrown away, the folder made if need be."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as out:
         arguments = ["--one", name, "--points", str(points / 1e6), "--voxel", str(voxel_m), "--out", out]
         command = [sys.executable, "-m", "benchmarks.export", *arguments]
@@ -106,8 +108,6 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="where there is room")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.out is not None:
-        given.out.mkdir(parents=True, exist_ok=True)
     points = round(given.points * 1e6)
     if given.one:
         from dataclasses import asdict

@@ -32,6 +32,7 @@ from splitslam.scan import GnssFix, ImuSamples, Scan
 _log = logging.getLogger(__name__)
 
 _LOOK_AT_S = (10.0, 20.0, 40.0, 80.0)  # of answered motion; later ones only while something is not known yet
+_MOST_SAMPLES, _MOST_SCANS = 240_000, 5000  # three times what the last look needs, at 1 kHz
 _NAME = "check"
 _CHECKED = "a robot file in which `splitslam check` finds no problem, a place with structure"
 
@@ -43,9 +44,15 @@ class _Heard:
     scans_ns: list[int] = field(default_factory=list)
     fixes_ns: list[int] = field(default_factory=list)
     samples: list[ImuSamples] = field(default_factory=list)
+    sample_count: int = 0  # in all of them: looked at with each scan, and there are hundreds
     poses_ns: list[int] = field(default_factory=list)
     poses: list[np.ndarray] = field(default_factory=list)
     lost: int = 0
+
+    @property
+    def is_much(self) -> bool:
+        """More than any look needs."""
+        return self.sample_count > _MOST_SAMPLES or max(len(self.scans_ns), len(self.fixes_ns)) > _MOST_SCANS
 
     def copy(self) -> _Heard:
         return replace(
@@ -81,12 +88,20 @@ class LiveCheck:
             return
         if isinstance(event, ImuSamples):
             self._heard.samples.append(event)
+            self._heard.sample_count += len(event)
             if len(self._heard.samples) > 1000:
                 self._heard.samples = [ImuSamples.joined(self._heard.samples)]
+                self._begin_anew()
         elif isinstance(event, Scan):
             self._heard.scans_ns.append(event.stamp_ns)
+            self._begin_anew()
         elif isinstance(event, GnssFix):
             self._heard.fixes_ns.append(event.stamp_ns)
+
+    def _begin_anew(self) -> None:
+        """Without answers the looks do not end: what was heard until then must not fill the memory meanwhile."""
+        if self._heard.is_much:
+            self._heard = _Heard()
 
     def on_answer(self, answer: Answer) -> None:
         """An answer of the map service, in order."""
@@ -128,7 +143,7 @@ class LiveCheck:
         imu = self._robot.imu
         if imu is None:
             return found, None
-        if sum(map(len, heard.samples)) < 20:
+        if heard.sample_count < 20:
             return [*found, Finding("imu", "fewer than 20 samples so far", f"{imu.rate_hz:g} a second")], None
         came = ImuSamples.joined(heard.samples)
         found += streams.findings("imu", streams.statistics(came.stamps_ns), imu.rate_hz)

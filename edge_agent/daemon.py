@@ -17,7 +17,7 @@ from edge_agent.outputs import Outputs
 from edge_agent.run_report import run_report
 from edge_agent.sources import open_source
 from edge_agent.sources.source import StoppedError
-from edge_agent.uplink import SessionOverError
+from edge_agent.supervisor import SessionOverError
 from edge_agent.watchdog import Watchdog
 from splitslam.errors import InputError
 from splitslam.logs import fields

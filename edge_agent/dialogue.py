@@ -69,7 +69,8 @@ class Dialogue:
         self.pause_s: float | None = None  # how long the next frame is held back; None: it is not
         self._pacer = Pacer()
         self._recoding = Recoding(hello)
-        self._settings, self._metrics, self._spool = settings, metrics, spool
+        self._settings, self._metrics = settings, metrics
+        metrics.kept_from(self.outbox, spool)
         if spool is not None:
             metrics.spool_error_sources.append(spool.errors)
             metrics.drop("spool_damaged", spool.recovered.damaged)
@@ -93,7 +94,6 @@ class Dialogue:
         """Takes a frame into the outbox; what has to go for it is counted. arrived_s: when its scan came."""
         self.outbox.add(frame, now_s, arrived_s)
         self._count_lost()
-        self._gauge()
 
     def _count_lost(self) -> None:
         for lost in self.outbox.lost:
@@ -221,7 +221,6 @@ class Dialogue:
             self._on_refused(response.refused)
         elif kind == "finished":
             self.finished = response.finished
-        self._gauge()
 
     def _on_welcome(self, welcome: pb.Welcome) -> None:
         if not self.outbox.rewind(welcome.applied_seq, welcome.durable_seq):
@@ -290,10 +289,3 @@ class Dialogue:
         self.stream.ended = ending
         self.stream.retry_after_s = retry_after_ms * 1e-3
         self.stream.other_replica = True
-
-    def _gauge(self) -> None:
-        self._metrics.buffer_frames.set(len(self.outbox))
-        self._metrics.buffer_bytes.set(self.outbox.bytes)
-        if self._spool is not None:
-            self._metrics.spool_frames.set(len(self._spool))
-            self._metrics.spool_bytes.set(self._spool.bytes)

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
-
+from edge_agent.imu.unseen import unseen
 from edge_agent.sources import TimedEvent
 from edge_agent.sources.time_map import shifted
 from edge_agent.types import MotionSource
-from splitslam import se3
 from splitslam.features import Motion
 from splitslam.logs import fields
 from splitslam.scan import GnssFix, Scan
@@ -23,9 +21,6 @@ _log = logging.getLogger(__name__)
 
 _SECOND_NS = 1_000_000_000
 _LEAD_NS = 500_000_000  # of samples before the first own scan, to level the robot by
-_STEADY_S = 0.3  # so long a turn is taken to go on as it is; beyond, nothing is known of it
-_RATE_RADPS, _SPEED_MPS = 1.5, 10.0  # what a robot may do unseen, 1 sigma
-_LARGEST_RAD = 3.0
 
 
 @dataclass(slots=True)
@@ -79,19 +74,4 @@ class UnseenMotion:
         if self._after_ns is None:
             return motion
         gap_s, self._after_ns = max((start_ns - self._after_ns) * 1e-9, 1e-3), None
-        return _unseen(motion, gap_s)
-
-
-def _unseen(motion: Motion, gap_s: float) -> Motion:
-    """`motion` after a time in which nobody measured: turned as the scan shows, the way left to the map service.
-
-    The service adds its own last velocity where the edge says that it knows none, and holds it to what accelerations
-    allow (map_service/scan_alignment.py).
-    """
-    knots = motion.knots
-    scan_s = float(knots.offsets_ns[-1] - knots.offsets_ns[0]) * 1e-9
-    rate_radps = (knots.rotation[-1] - knots.rotation[0]) / scan_s
-    turn = np.concatenate([rate_radps * min(gap_s, _STEADY_S), np.zeros(3)])
-    sigma_rad, sigma_m = min(_RATE_RADPS * gap_s, _LARGEST_RAD), _SPEED_MPS * gap_s
-    covariance = np.diag(np.repeat([sigma_rad**2, sigma_m**2], 3))
-    return replace(motion, T_prev_lidar=se3.exp(turn), covariance=covariance, velocity_known=False)
+        return unseen(motion, gap_s)

@@ -9,7 +9,8 @@ from collections import Counter
 from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.spool import RunFolder, SpoolFolder
-from edge_agent.uplink import SessionOverError, Uplink
+from edge_agent.supervisor import SessionOverError
+from edge_agent.uplink import Uplink
 from splitslam.errors import InputError
 from splitslam.logs import fields
 from splitslam.security.settings import ClientTls

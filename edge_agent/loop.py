@@ -58,7 +58,7 @@ class Imu(Protocol):
     @property
     def velocity_covariance(self) -> NDArray[np.float64]: ...
 
-    def add_imu(self, samples: ImuSamples) -> OdomPoses: ...
+    def add_imu(self, samples: ImuSamples, later: bool = False) -> OdomPoses: ...
     def add_wheels(self, samples: WheelSamples) -> None: ...
     def T_odom_lidar_at(self, stamp_ns: int) -> NDArray[np.float64]: ...
     def on_odometry(self, reply: OdometryReply) -> None: ...
@@ -135,6 +135,7 @@ class AgentLoop:
         self._held_back: list[Answer] = []
         self._answered_ns: int | None = None
         self._now_ns = 0  # of the newest scan or IMU-rate pose
+        self._given_ns = 0  # of the newest IMU-rate pose
         self.stopped = False
         self.pulse = parts.pulse
 
@@ -181,29 +182,34 @@ class AgentLoop:
         return True
 
     def _take(self, items: list[Item]) -> None:
-        """Neighbouring samples go to the Imu node together: one call costs far more than one sample."""
+        """Neighbouring samples go to the Imu node together: one call costs far more than one sample.
+
+        The poses of the few samples that end a scan may come with those after it: it needs those of its start alone.
+        """
         samples: list[ImuSamples] = []
-        for item in items:
+        newest = max((k for k, item in enumerate(items) if isinstance(item, ImuSamples)), default=-1)
+        for k, item in enumerate(items):
             if isinstance(item, ImuSamples):
                 samples.append(item)
                 continue
             if isinstance(item, WheelSamples):
                 self._parts.imu.add_wheels(item)
                 continue
-            self._take_samples(samples)
+            self._take_samples(samples, later=k < newest and item.scan.stamp_ns <= self._given_ns)
             samples = []
             self._take_packet(item)
             if self.stopped:
                 return
         self._take_samples(samples)
 
-    def _take_samples(self, samples: list[ImuSamples]) -> None:
+    def _take_samples(self, samples: list[ImuSamples], later: bool = False) -> None:
         if not samples:
             return
         imu = self._parts.imu
-        poses = imu.add_imu(ImuSamples.joined(samples))
+        poses = imu.add_imu(ImuSamples.joined(samples), later)
         if len(poses.stamps_ns):
-            self._now_ns = max(self._now_ns, int(poses.stamps_ns[-1]))
+            self._given_ns = int(poses.stamps_ns[-1])
+            self._now_ns = max(self._now_ns, self._given_ns)
             self._parts.sink.on_poses(poses, imu, self.state)
 
     def _take_packet(self, packet: ScanPacket) -> None:

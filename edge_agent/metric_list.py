@@ -13,7 +13,9 @@ STAGES = ("motion", "deskew", "features", "encode", "total")
 BACK_ENDS = ("reference", "cpu", "fpga", "cosim", "off", "rotation")
 UPLINK_KINDS = ("hello", "frame", "bye", "report", "dense")
 DOWNLINK_KINDS = ("welcome", "odometry", "credit", "advice", "drain", "refused", "finished", "dense")
-DENSE_LOSSES = ("full", "disk", "damaged", "busy", "motion", "encode", "refused", "deleted", "not_a_keyframe")
+DENSE_LOSSES = (
+    *("full", "disk", "damaged", "busy", "motion", "encode", "killed", "refused", "deleted", "not_a_keyframe"),
+)
 CAUSES = ("loop", "gnss", "relocalise", "registration", "outage")
 
 _OF_A_STREAM = ("duplicate", "time_backwards", "time_jump")
@@ -296,7 +298,8 @@ DENSE_SENT = counter(
 DENSE_DROPPED = counter(
     "splitslam_edge_dense_dropped",
     "Whole scans of keyframes that were lost, by reason. motion: of a scan whose motion was not known yet; busy: they "
-    "came too fast; deleted: the session is gone; not_a_keyframe: the service has forgotten that it was one",
+    "came too fast; killed: an agent before had it in memory; deleted: the session is gone; not_a_keyframe: the "
+    "service has forgotten that it was one",
     "full: `uplink.dense_max_mb`, or a link that is never idle. disk, damaged: the disk. busy: CPU.",
     Label("reason", DENSE_LOSSES, open=True),
 )

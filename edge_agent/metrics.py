@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections import Counter as Tally
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,14 @@ class Series:
         return summary(np.asarray(self.values_s) * 1e3)
 
 
+class Sized(Protocol):
+    """Holds so many things, and so many bytes."""
+
+    @property
+    def bytes(self) -> int: ...
+    def __len__(self) -> int: ...
+
+
 class Sums:
     """Counts by label that several parts keep for themselves, added up when they are asked for."""
 
@@ -97,8 +105,12 @@ class EdgeMetrics:
         self.ignored = self._family(m.IGNORED)
         self.connected = self._family(m.CONNECTED)
         self.state = self._family(m.STATE)
-        self.buffer_frames, self.buffer_bytes = self._family(m.BUFFER_FRAMES), self._family(m.BUFFER_BYTES)
-        self.spool_frames, self.spool_bytes = self._family(m.SPOOL_FRAMES), self._family(m.SPOOL_BYTES)
+        self._outbox: Sized | None = None
+        self._spool: Sized | None = None
+        self._collect(m.BUFFER_FRAMES, lambda: 0 if self._outbox is None else len(self._outbox))
+        self._collect(m.BUFFER_BYTES, lambda: 0 if self._outbox is None else self._outbox.bytes)
+        self._collect(m.SPOOL_FRAMES, lambda: 0 if self._spool is None else len(self._spool))
+        self._collect(m.SPOOL_BYTES, lambda: 0 if self._spool is None else self._spool.bytes)
         self.spool_limit = self._family(m.SPOOL_LIMIT)
         self._limit = self._family(m.LIMIT)
         self.withheld_points = 0
@@ -182,6 +194,10 @@ class EdgeMetrics:
         """Shows the run's own tally: scans by result, corrections by cause."""
         self._collect(m.SCANS, scans)
         self._collect(m.CORRECTIONS, corrections)
+
+    def kept_from(self, outbox: Sized, spool: Sized | None) -> None:
+        """Shows what the robot still owes the map service, and what of it is on disk."""
+        self._outbox, self._spool = outbox, spool
 
     def deskew_from(self, back_end: str, counts: Tally[str]) -> None:
         """Shows the deskew back end in force and its Image node's own counts."""

@@ -18,6 +18,7 @@ from splitslam import se3
 from splitslam.errors import InputError
 
 _UPPER = np.triu_indices(6)
+_NUMBERS = ",".join(["%.6e"] * len(_UPPER[0]))
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,8 @@ Array = NDArray[np.float64]
 def tum_line(stamp_ns: int, position_m: Array, quat_xyzw: Array) -> str:
     """One TUM line; the stamp goes from int64 to 9 decimals without passing through a float."""
     seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    x, y, z = position_m
-    qx, qy, qz, qw = quat_xyzw
+    x, y, z = position_m.tolist()  # plain floats: numpy's take longer to write than to work out
+    qx, qy, qz, qw = quat_xyzw.tolist()
     return f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
 
 
@@ -104,7 +105,7 @@ def covariance_header() -> str:
 
 def covariance_line(reply: OdometryReply) -> str:
     """One row: stamp, state by name, upper triangle of the covariance of T_map_lidar row by row (rad and m)."""
-    numbers = ",".join(f"{value:.6e}" for value in reply.covariance[_UPPER])
+    numbers = _NUMBERS % tuple(reply.covariance[_UPPER].tolist())
     return f"{reply.stamp_ns},{state_name(reply.state)},{numbers}\n"
 
 

@@ -80,7 +80,7 @@ class EdgePipeline:
             sent = knots if allowed else ends(knots)
             frame = FeatureFrame(self.seq + 1, scan.stamp_ns, dense, replace(motion, knots=sent), corners, surfs)
             clock.lap("features")
-            payload = codec.encode(frame, self.beam_elevations_rad, self.columns, self.settings.step_m)
+            payload = self._encoded(frame)
             clock.lap("encode")
             if self.rate.fits(scan.stamp_ns, len(payload)) or allowed <= self.rate.settings.fewest_points:
                 break
@@ -124,6 +124,13 @@ class EdgePipeline:
         """The motion that is removed, as it travels. One that is beyond all bounds costs the scan, not the agent."""
         try:
             return codec.quantise_knots(self.image_node.effective(motion.knots))
+        except ValueError as error:
+            raise DataError("motion", str(error)) from None
+
+    def _encoded(self, frame: FeatureFrame) -> bytes:
+        """The same for the way since the scan before, and whatever else cannot be told."""
+        try:
+            return codec.encode(frame, self.beam_elevations_rad, self.columns, self.settings.step_m)
         except ValueError as error:
             raise DataError("motion", str(error)) from None
 

@@ -93,7 +93,7 @@ class AgentSink:
         if self.clouds is not None and frame.scan is not None:
             self.clouds.keep(frame.scan)
         elif self.clouds is not None and frame.dense:
-            self.clouds.lose(frame.seq, "motion")
+            self.clouds.lose(frame.seq, frame.stamp_ns, "motion")
         return frame_message(frame, CODEC_VERSION)
 
     def on_answer(self, answer: Answer) -> None:

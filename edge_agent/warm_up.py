@@ -18,6 +18,7 @@ from edge_agent.odometry.scan_matching import Outcome, Placement, ScanMatching
 from edge_agent.odometry.settings import OdometrySettings
 from edge_agent.pipeline import EdgePipeline
 from edge_agent.settings import PipelineSettings
+from edge_agent.sources.sequencer import Sequencer
 from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import codec
 from splitslam.features import FeatureFrame
@@ -43,11 +44,14 @@ def warm_up(
     node = make_imu_node(robot, imu)
     if pipeline.deskew in ("auto", "fpga", "cosim"):
         pipeline = pipeline.model_copy(update={"deskew": "cpu"})
-    edge = EdgePipeline(robot, pipeline, beam_elevations_rad, node)
+    edge, sequencer = EdgePipeline(robot, pipeline, beam_elevations_rad, node), Sequencer(robot)
     for k in range(_SCANS):
         scan = _room(k * _SCAN_NS, robot, beam_elevations_rad)
+        sequencer.push(scan)
         if robot.imu is not None:
-            _as_text(node.add_imu(_still(k * _SCAN_NS, _IMU_NS[k % 2], robot)))
+            samples = _still(k * _SCAN_NS, _IMU_NS[k % 2], robot)
+            sequencer.push_imu(samples, samples.stamps_ns.tolist())
+            _as_text(node.add_imu(samples))
         if robot.wheels is not None:
             node.add_wheels(WheelSamples(np.array([k * _SCAN_NS + _IMU_NS[0]]), np.zeros((1, 2)), np.zeros(1)))
         frame = edge.process(ScanPacket(scan))

@@ -50,7 +50,7 @@ def matrix(message: types.Transform) -> NDArray[np.float64]:
     t, q = (message.tx_m, message.ty_m, message.tz_m), (message.qx, message.qy, message.qz, message.qw)
     if not (all(map(math.isfinite, t)) and 0.9 < math.hypot(*q) < 1.1):  # also false for NaN
         raise ValueError("not a rigid transform")
-    return se3.from_quat(np.array(t), np.array(q))
+    return se3.from_quat(t, q)
 
 
 def frame_message(frame: EncodedFrame, codec_version: int) -> pb.Frame:
@@ -76,24 +76,36 @@ def _fix_message(fix: GnssFix) -> types.GnssFix:
     )
 
 
+def _said(message: pb.Odometry) -> tuple[NDArray[np.float64], ...]:
+    """T_map_lidar, T_map_odom, covariance, degenerate axes; ValueError for what makes no sense."""
+    covariance, axes = list(message.covariance), list(message.degenerate_axes)
+    if not all(map(math.isfinite, covariance)) or not all(map(math.isfinite, axes)):
+        raise ValueError("covariance or axes not finite")
+    unknown = message.duplicate and not covariance
+    return (
+        matrix(message.pose_map_lidar),
+        matrix(message.pose_map_odom),
+        np.eye(6) if unknown else np.array(covariance).reshape(6, 6),
+        np.array(axes).reshape(-1, 6),
+    )
+
+
+def _nothing() -> tuple[NDArray[np.float64], ...]:
+    """The same of an answer that was rejected."""
+    return np.eye(4), np.eye(4), np.eye(6), np.zeros((0, 6))
+
+
 def answer(message: pb.Odometry, round_trip_s: float) -> Answer:
     """The server's answer. One that makes no sense counts as rejected, so that the Imu node never sees it.
 
     The repeated answer to a frame that only the store remembers has no covariance: it is known to 1 rad and 1 m then.
     """
-    covariance, axes = np.eye(6), np.zeros((0, 6))
     rejected = message.rejected
-    T_map_lidar = T_map_odom = np.eye(4)
-    if not rejected:
-        try:
-            T_map_lidar, T_map_odom = matrix(message.pose_map_lidar), matrix(message.pose_map_odom)
-            if message.covariance or not message.duplicate:
-                covariance = np.fromiter(message.covariance, np.float64).reshape(6, 6)
-            axes = np.fromiter(message.degenerate_axes, np.float64).reshape(-1, 6)
-            if not (np.isfinite(covariance).all() and np.isfinite(axes).all()):
-                raise ValueError("covariance or axes not finite")
-        except ValueError:
-            rejected = "corrupt_answer"
+    try:
+        T_map_lidar, T_map_odom, covariance, axes = _nothing() if rejected else _said(message)
+    except ValueError:
+        rejected = "corrupt_answer"
+        T_map_lidar, T_map_odom, covariance, axes = _nothing()
     reply = OdometryReply(
         seq=message.seq,
         stamp_ns=message.stamp_ns,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from splitslam.registration._kernels import FASTMATH, PLANE, pack, slot_of
+from splitslam.registration._kernels import FASTMATH, KIND, PLANE, pack, slot_of
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -31,13 +31,13 @@ def closeness(slots, geometry, points_lidar, poses, voxel_m, levels, gate_m, sco
                 i = slot_of(slots, pack(level, np.int64(ix), np.int64(iy), np.int64(iz)))
                 row = slots[i, 1]
                 size *= 2.0
-                if slots[i, 0] == -1 or geometry[row, 9] == 0.0:
+                if slots[i, 0] == -1 or geometry[row, KIND] == 0.0:
                     continue
                 g = geometry[row]
                 dx, dy, dz = x - g[0], y - g[1], z - g[2]
                 along = dx * g[3] + dy * g[4] + dz * g[5]
                 square = along * along
-                if g[9] != PLANE:
+                if g[KIND] != PLANE:
                     square = dx * dx + dy * dy + dz * dz - square
                 total += max(0.0, 1.0 - square / (gate_m * gate_m))
                 break

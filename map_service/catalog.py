@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Connection, Row, delete, func, null, select
+from sqlalchemy import Connection, Row, Table, delete, func, null, select
 
 from map_service import schema
 from map_service.packing import unpack_pose
@@ -14,6 +14,8 @@ from map_service.session_scans import SessionScans
 from map_service.store import Store
 from map_service.types import FactorRecord
 from splitslam.errors import DataError
+
+_AT_ONCE, _ROWS_AT_ONCE = {"dense_clouds": 50, "clouds": 500}, 20_000  # rows that a statement deletes
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +147,19 @@ def delete_session(connection: Connection, session_id: str) -> Deleted | None:
     row = connection.execute(query).first()
     if row is None:
         return None
-    removed = {
-        table.name: connection.execute(delete(table).where(table.c.session == row.id)).rowcount
-        for table in schema.SESSION_TABLES
-    }
+    removed = {table.name: _delete_rows(connection, table, row.id) for table in schema.SESSION_TABLES}
     connection.execute(delete(t).where(t.c.id == row.id))
     return Deleted(row.frames + row.rejected, removed["keyframes"], row.bytes)
+
+
+def _delete_rows(connection: Connection, table: Table, key: int) -> int:
+    """A session's rows of one table, some at a time: a statement has to end within seconds (postgres.py), and gigabytes
+    of whole scans do not go in that time."""
+    _, number = table.primary_key.columns
+    at_once, removed = _AT_ONCE.get(table.name, _ROWS_AT_ONCE), 0
+    some = select(number).where(table.c.session == key).limit(at_once)
+    while count := connection.execute(delete(table).where(table.c.session == key, number.in_(some))).rowcount:
+        removed += count
+        if count < at_once:
+            break
+    return removed

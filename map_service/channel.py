@@ -6,13 +6,16 @@ One socket pair a worker; a message is a length and a pickle: both ends are this
 from __future__ import annotations
 
 import pickle
+import select
 import socket
 import struct
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 HEADER = struct.Struct("!I")
+_READ_BYTES = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +179,24 @@ def pack(message: Any) -> bytes:
     return HEADER.pack(len(body)) + body
 
 
-def unpack(body: bytes | memoryview) -> Any:
+def unpack(body: bytes | bytearray) -> Any:
     """What `pack` made, without its header."""
     number, *values = pickle.loads(body)
     return _KINDS[number](*values)
+
+
+def take_whole(received: bytearray) -> Iterator[Any]:
+    """Takes the messages that are complete off the beginning of what was received."""
+    begin = 0
+    while len(received) - begin >= HEADER.size:
+        (size,) = HEADER.unpack_from(received, begin)
+        end = begin + HEADER.size + size
+        if len(received) < end:
+            break
+        message = unpack(received[begin + HEADER.size : end])
+        begin = end
+        yield message
+    del received[:begin]
 
 
 class WorkerEnd:
@@ -188,7 +205,9 @@ class WorkerEnd:
     def __init__(self, sock: socket.socket) -> None:
         sock.setblocking(True)
         self._sock = sock
-        self._file = sock.makefile("rb")
+        self._readable = select.poll()
+        self._readable.register(sock, select.POLLIN)
+        self._received = bytearray()
         self._lock = threading.Lock()
 
     def send(self, message: Any) -> None:
@@ -197,11 +216,12 @@ class WorkerEnd:
         with self._lock:
             self._sock.sendall(data)
 
-    def receive(self) -> Any | None:
-        """The next message, None when the front is gone."""
-        head = self._file.read(HEADER.size)
-        if len(head) < HEADER.size:
+    def receive(self, timeout_s: float) -> list[Any] | None:
+        """The messages that have come, none if none comes in time; None when the front is gone."""
+        if not self._readable.poll(timeout_s * 1e3):
+            return []
+        data = self._sock.recv(_READ_BYTES)
+        if not data:
             return None
-        (size,) = HEADER.unpack(head)
-        body = self._file.read(size)
-        return unpack(body) if len(body) == size else None
+        self._received += data
+        return list(take_whole(self._received))

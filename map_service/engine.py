@@ -82,6 +82,7 @@ class SlamEngine:
     def warm_up(self) -> None:
         from map_service.warm_up import warm_up
 
+        self._pool.start()
         warm_up(self)
 
     def decode(self, frame: pb.Frame, request: SessionRequest) -> FeatureFrame:

@@ -167,6 +167,8 @@ class GnssGate:
         datum = self.data[index]
         weights = [datum.add(fix) for fix in fixes]
         self.reject("spacing", weights.count(None))
+        if not any(weights):
+            return []
         T_enu_map = datum.T_enu_odom() @ se3.inv(place.T_map_odom)
         return [
             GnssMeasurement(fix, weight, index, T_enu_map)

@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 
 
 class SessionHost:
-    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by the reader.
+    """Answers go out by `send`. `sessions` and `tally` are read by other threads; `closed` is filled by who reads them.
 
     What a frame means for the map, and what is to be committed, can wait while other robots wait for an answer: `care`
     does a piece of it. A session is cared for before its next frame at the latest.

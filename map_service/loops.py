@@ -78,6 +78,10 @@ def refused(job: LoopJob, reason: str) -> LoopResult:
     )
 
 
+def stand_by() -> None:
+    """What a process of the pool is asked first: with this module it has loaded all that `verify` needs."""
+
+
 def verify(job: LoopJob) -> LoopResult:
     """GICP from the graph's guess, or from what a search without a guess finds; then the fit is judged."""
     s, T = job.settings, job.T_older_newer

@@ -7,6 +7,7 @@ import numpy as np
 from map_service.engine import SlamEngine
 from map_service.hello import SessionRequest
 from map_service.places import PlaceIndex
+from map_service.scan_alignment import deskewed_again
 from map_service.settings import PlaceSettings, TrackerSettings
 from map_service.store import Opening
 from map_service.wide_search import WideSearch
@@ -38,7 +39,9 @@ def warm_up(engine: SlamEngine) -> None:
     settings = TrackerSettings()
     search = WideSearch(settings.search, Registration(settings.registration))
     search.places(LocalMap(settings.local_map), _frame(1, beams), np.eye(4))  # a lost robot waits for no compiler
-    PlaceIndex(PlaceSettings()).add(_frame(1, beams).surfs.points_lidar)  # nor does the first keyframe's
+    surfs = _frame(1, beams).surfs
+    PlaceIndex(PlaceSettings()).add(surfs.points_lidar)  # nor does the first keyframe's
+    deskewed_again(surfs, np.ones(6))
 
 
 def _frame(seq: int, beams_rad: np.ndarray) -> FeatureFrame:

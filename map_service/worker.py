@@ -1,17 +1,18 @@
 """A worker process: one thread runs the pipelines of all sessions pinned to it.
 
-Threads besides: a reader that turns the socket into a bounded queue, one that gives signs of life, one that
-commits. The worker ends with its front: the kernel kills it, and the socket's end does if that should fail.
+Between two jobs it takes what has come from the socket; a reader of its own would have to be woken, and wake it, for
+each frame. Threads besides: one that gives signs of life, one that commits. The worker ends with its front: the kernel
+kills it, and the socket's end does if that should fail.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import queue
 import socket
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,14 +67,14 @@ class Worker:
 
     def __init__(self, host: SessionHost, end: WorkerEnd, queue_messages: int) -> None:
         self._host, self._end = host, end
-        self._queue: queue.Queue[Any] = queue.Queue(queue_messages)
+        self._queue: deque[Any] = deque()
+        self._most_queued = queue_messages
         self._job_since_s: float | None = None
 
     def run(self) -> None:
         """Serve until drained. Raises OSError when the front is gone."""
         self._end.send(Ready(os.getpid()))
-        for target in (self._read, self._beat):
-            threading.Thread(target=target, daemon=True, name=target.__name__).start()
+        threading.Thread(target=self._beat, daemon=True, name="beat").start()
         message: Any = None
         busy, looked_s = False, 0.0
         while not isinstance(message, DrainAll):
@@ -93,20 +94,19 @@ class Worker:
         self._end.send(Drained(self._host.sessions.durable()))
 
     def _next(self, *, wait: bool) -> Any | None:
-        try:
-            if not wait:
-                return self._queue.get_nowait()
-            return self._queue.get(timeout=_COMMITTING_S if self._host.sessions.committing else _IDLE_S)
-        except queue.Empty:
-            return None
+        if len(self._queue) < self._most_queued:  # else the front keeps what comes, and reads no more from its robots
+            wait_s = _COMMITTING_S if self._host.sessions.committing else _IDLE_S
+            self._take_in(wait_s if wait and not self._queue else 0.0)
+        return self._queue.popleft() if self._queue else None
 
-    def _read(self) -> None:
-        while (message := self._end.receive()) is not None:
-            if isinstance(message, Close):
-                self._host.closed.add(message.stream)
-            self._queue.put(message)
-        logging.shutdown()
-        os._exit(1)  # the front is gone
+    def _take_in(self, wait_s: float) -> None:
+        """All that has come: a stream's Close is known before its Open, where both wait."""
+        messages = self._end.receive(wait_s)
+        if messages is None:  # the front is gone
+            logging.shutdown()
+            os._exit(1)
+        self._host.closed.update(message.stream for message in messages if isinstance(message, Close))
+        self._queue.extend(messages)
 
     def _beat(self) -> None:
         try:
@@ -127,7 +127,7 @@ class Worker:
             sessions=host.sessions.states(),
             released=host.sessions.take_released(),
             robots=host.sessions.robots() if host.config.metrics.per_robot else [],
-            queue_messages=self._queue.qsize(),
+            queue_messages=len(self._queue),
             undurable_frames=host.sessions.undurable_frames,
             cpu_s=host.cpu_ns() * 1e-9,
             resident_bytes=resident_bytes(),

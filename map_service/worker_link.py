@@ -57,16 +57,8 @@ class WorkerLink(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._received += data
-        begin, head = 0, channel.HEADER.size
-        while len(self._received) - begin >= head:
-            (size,) = channel.HEADER.unpack_from(self._received, begin)
-            end = begin + head + size
-            if len(self._received) < end:
-                break
-            message = channel.unpack(memoryview(self._received)[begin + head : end])
-            begin = end
+        for message in channel.take_whole(self._received):
             self._take(message)
-        del self._received[:begin]
 
     def pause_writing(self) -> None:
         self._room.clear()

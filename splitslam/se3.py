@@ -103,20 +103,12 @@ def quat_from_matrix(R: Array) -> Array:
 
 def matrix_from_quat(q: Array) -> Array:
     """Quaternion (4,) x y z w, any norm > 0 -> rotation matrix (3, 3)."""
-    x, y, z, w = q.tolist()
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    return np.array(
-        (
-            (1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
-            (s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)),
-            (s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)),
-        )
-    )
+    return np.array(_turned(*q.tolist()))
 
 
-def from_quat(t: Array, q: Array) -> Array:
+def from_quat(t: Array | Sequence[float], q: Array | Sequence[float]) -> Array:
     """Translation (3,), m and quaternion (4,) x y z w -> (4, 4)."""
-    return compose(matrix_from_quat(q), t)
+    return _transform(_turned(*_floats(q)), _floats(t))
 
 
 def interpolate(T_a: Array, T_b: Array, ratio: float) -> Array:
@@ -159,6 +151,19 @@ def _rotation(x: float, y: float, z: float) -> _Rows:
     xx, yy, zz = b * x * x, b * y * y, b * z * z
     ax, ay, az = a * x, a * y, a * z
     return (1.0 - yy - zz, xy - az, xz + ay), (xy + az, 1.0 - xx - zz, yz - ax), (xz - ay, yz + ax, 1.0 - xx - yy)
+
+
+def _floats(values: Array | Sequence[float]) -> Sequence[float]:
+    return values.tolist() if isinstance(values, np.ndarray) else values
+
+
+def _turned(x: float, y: float, z: float, w: float) -> _Rows:
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    return (
+        (1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
+        (s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)),
+        (s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)),
+    )
 
 
 def _quaternion(R: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:

@@ -40,7 +40,8 @@ def main() -> int:
         (*_MAKING_WAY, "make", "--no-print-directory", "fpga-test", "WORKERS=1"),
     )
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _end)
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # nohup
+            signal.signal(number, _end)
     with ExitStack() as cleanup:
         outs = [cleanup.enter_context(tempfile.TemporaryFile("w+")) for _ in beside]
         parts = cleanup.enter_context(Parts(ROOT))

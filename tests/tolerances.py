@@ -82,6 +82,7 @@ ODOM_STEP_M = 0.02
 ODOM_STEP_DEG = 0.3
 # Error of `odom` over a second without corrections, median.
 ALONE_1S_MEDIAN_M = 0.05
+AFTER_SILENCE_M = 0.03  # sensors off for hours where a robot stands: of its way afterwards, against that without
 # A scan of a made room against the ring of scans before it: points of 1 cm, ten to a voxel.
 EDGE_ODOMETRY_M = 0.01
 # What the issue promises while the network is away.
@@ -220,3 +221,7 @@ STAMP_OF_THINNED_S = 1e-4
 # A scan that is read from a block at full rate: half a step of 0.1 mm an axis; its answer, which is held, twice one.
 BLOCK_POSE_M = 1e-4
 BLOCK_ANSWER_M = 3e-4
+
+# Acceleration that an Imu node believes in while the robot rests where the LiDAR sees nothing along the road
+# (1.3 m after ten seconds; seen: 0.001).
+REST_ACCELERATION_MPS2 = 0.02

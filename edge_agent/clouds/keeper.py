@@ -1,4 +1,4 @@
-"""From frames to clouds on disk, on a thread of its own: no frame waits for an encoder or a slow disk."""
+"""From frames to clouds on disk, on a thread of its own: no frame waits for an encoder, or until a cloud is written."""
 
 from __future__ import annotations
 
@@ -47,13 +47,15 @@ class CloudKeeper:
 
     def keep(self, scan: WholeScan) -> None:
         """Of a frame that may become a keyframe."""
+        self._shelf.take(scan.seq, scan.stamp_ns)
         if self._room.acquire(blocking=self._lockstep):
             self._jobs.put(scan)
         else:
-            self.lose(scan.seq, "busy")
+            self._jobs.put(_Lost(scan.seq, "busy"))
 
-    def lose(self, seq: int, reason: str) -> None:
+    def lose(self, seq: int, stamp_ns: int, reason: str) -> None:
         """There is no cloud of a frame that may become a keyframe."""
+        self._shelf.take(seq, stamp_ns)
         self._jobs.put(_Lost(seq, reason))
 
     def answered(self, seq: int, is_key: bool) -> None:
@@ -98,5 +100,5 @@ class CloudKeeper:
         reason = self._lost.pop(seq, None)
         if reason is None:
             self._shelf.answered(seq, is_key)
-        elif is_key:
-            self._shelf.lose(reason)
+        else:
+            self._shelf.answered_without(seq, is_key, reason)

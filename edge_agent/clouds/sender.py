@@ -132,6 +132,8 @@ class CloudSender:
 
     def _offer(self, upload: Upload, kept: Kept) -> bool:
         """One cloud; False: no further one now."""
+        if kept.gone_ns is not None:
+            return self._ask(upload, kept, kept.gone_ns)
         cloud = self._shelf.read(kept)
         if cloud is None:
             return True
@@ -150,6 +152,15 @@ class CloudSender:
             if answer.verdict == pb.CLOUD_VERDICT_WANTED and answer.received_bytes <= start:
                 raise ValueError(f"the service has {answer.received_bytes} bytes after {start}")
         return self._take(kept, answer)
+
+    def _ask(self, upload: Upload, kept: Kept, stamp_ns: int) -> bool:
+        """Whether a scan that a killed agent had in hand was a keyframe's: then it would be wanted."""
+        offer = pb.CloudOffer(seq=kept.seq, stamp_ns=stamp_ns, size=1)
+        answer = self._say(upload, pb.UploadRequest(offer=offer))
+        if answer.verdict not in (pb.CLOUD_VERDICT_WANTED, pb.CLOUD_VERDICT_NO_ROOM):
+            return self._take(kept, answer)
+        self._shelf.done(kept, "killed")
+        return True
 
     def _chunk_bytes(self) -> int:
         """A frame that comes right after it waits no longer than for this."""

@@ -3,6 +3,7 @@
 <run_id>/open             whose they are: splitslam.v1.UploadOpen, serialised
          00000042.new     of the dense frame 42, which may or may not have become a keyframe
          00000043.key     of a keyframe: the map service said so
+         in_hand          scans that are neither here nor settled: of those a killed agent had, the service is asked
 
 A file is written beside its name and renamed, so a killed agent leaves whole files; after a power cut the checksum
 tells. What goes for want of room is the oldest; nothing goes without being counted.
@@ -20,16 +21,19 @@ from pathlib import Path
 
 from google.protobuf.message import DecodeError
 
+from edge_agent.clouds.in_hand import InHand
 from splitslam.logs import fields
 from splitslam.wire import dense_pb2 as pb
 
+_IN_HAND = "in_hand"
 _log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
 class Kept:
-    """One file. is_key: the scan is a keyframe's; inherited: an agent before wrote it. not_before_s: of the next offer,
-    on the system's monotonic clock."""
+    """One scan. is_key: it is a keyframe's; inherited: of an agent before. not_before_s: of the next offer, on the
+    system's monotonic clock. gone_ns: None for one with a file; else the stamp of one that a killed agent had in hand.
+    """
 
     run_id: str
     seq: int
@@ -37,6 +41,7 @@ class Kept:
     is_key: bool
     inherited: bool = False
     not_before_s: float = 0.0
+    gone_ns: int | None = None
 
     @property
     def name(self) -> str:
@@ -46,7 +51,8 @@ class Kept:
 class CloudShelf:
     """At most `max_bytes` of clouds. Every method may be called from any thread.
 
-    dropped: by reason; full: no room, disk: not written, damaged: cannot be read any more, and what others add.
+    dropped: by reason; full: no room, disk: not written, damaged: cannot be read any more, killed: an agent before had
+    it in hand, and what others add.
     """
 
     def __init__(self, path: Path, max_bytes: int, own: pb.UploadOpen) -> None:
@@ -57,8 +63,10 @@ class CloudShelf:
         self._files: dict[tuple[str, int], Kept] = {}  # by run and seq; the order in which they were written
         self._bytes = 0
         self._failing = False
+        self._in_hand: dict[str, InHand] = {}  # by run
         for folder in sorted(path.glob("????????-????-????-????-????????????"), key=lambda f: f.stat().st_mtime_ns):
             self._inherit(folder)
+        self._mine = self._in_hand.setdefault(own.run_id, InHand(path / own.run_id / _IN_HAND))
 
     def _inherit(self, folder: Path) -> None:
         try:
@@ -71,19 +79,37 @@ class CloudShelf:
         except OSError as error:  # such as another user's: what it costs is what lies there
             self._tell(error)
             return
+        in_hand = self._in_hand[folder.name] = InHand(folder / _IN_HAND)
+        for seq, stamp_ns in list(in_hand.stamps_ns.items()):
+            if (folder.name, seq) in self._files:
+                self._settle(folder.name, seq)
+            else:
+                self._add(Kept(folder.name, seq, 0, False, True, gone_ns=stamp_ns))
         self._tidy(folder.name)
 
     # --- what the run brings ----------------------------------------------------------------------------------
 
+    def take(self, seq: int, stamp_ns: int) -> None:
+        """There will be a cloud of the own run's frame `seq`, or a loss. Waits for nothing but a note of 16 bytes."""
+        try:
+            self._make_folder()
+            self._mine.add(seq, stamp_ns)
+        except OSError as error:
+            self._tell(error)
+
     def put(self, seq: int, cloud: bytes, *, is_key: bool = False) -> None:
         """Keeps the cloud of the own run's frame `seq`, of which the service has not said yet what it is."""
+        self._put(seq, cloud, is_key)
+        self._settle(self._own.run_id, seq)
+
+    def _put(self, seq: int, cloud: bytes, is_key: bool) -> None:
         file = Kept(self._own.run_id, seq, len(cloud), is_key)
         with self._lock:
             if len(cloud) > self._max_bytes:
                 self.dropped["full"] += 1
                 return
             while self._bytes + len(cloud) > self._max_bytes:
-                self._drop(next(iter(self._files.values())), "full")
+                self._drop(next(file for file in self._files.values() if file.gone_ns is None), "full")
             if self._write(file, cloud):
                 self._add(file)
 
@@ -95,13 +121,17 @@ class CloudShelf:
                 return
             if not is_key:
                 self._remove(file)
+            elif file.gone_ns is not None:
+                self._drop(file, "killed")
             elif not file.is_key:
                 self._mark(file)
 
-    def lose(self, reason: str) -> None:
-        """One was not even made."""
-        with self._lock:
-            self.dropped[reason] += 1
+    def answered_without(self, seq: int, is_key: bool, reason: str) -> None:
+        """The same of a frame whose cloud was not even made; reason: why."""
+        if is_key:
+            with self._lock:
+                self.dropped[reason] += 1
+        self._settle(self._own.run_id, seq)
 
     # --- what goes up -----------------------------------------------------------------------------------------
 
@@ -160,7 +190,8 @@ class CloudShelf:
     @property
     def waiting(self) -> int:
         """Clouds that are here."""
-        return len(self._files)
+        with self._lock:
+            return sum(file.gone_ns is None for file in self._files.values())
 
     @property
     def bytes(self) -> int:
@@ -176,9 +207,7 @@ class CloudShelf:
     def _write(self, file: Kept, cloud: bytes) -> bool:
         folder = self._path / file.run_id
         try:
-            if not (folder / "open").exists():
-                folder.mkdir(parents=True, exist_ok=True)
-                _write_whole(folder / "open", self._own.SerializeToString())
+            self._make_folder()
             _write_whole(folder / file.name, cloud)
         except OSError as error:
             self.dropped["disk"] += 1
@@ -186,6 +215,12 @@ class CloudShelf:
             return False
         self._failing = False
         return True
+
+    def _make_folder(self) -> None:
+        opening = self._path / self._own.run_id / "open"
+        if not opening.exists():
+            opening.parent.mkdir(parents=True, exist_ok=True)
+            _write_whole(opening, self._own.SerializeToString())
 
     def _mark(self, file: Kept) -> None:
         before = self._path / file.run_id / file.name
@@ -204,12 +239,20 @@ class CloudShelf:
     def _remove(self, file: Kept) -> None:
         del self._files[file.run_id, file.seq]
         self._bytes -= file.size
+        if file.gone_ns is not None:
+            self._settle(file.run_id, file.seq)
         try:
             (self._path / file.run_id / file.name).unlink(missing_ok=True)
         except OSError as error:
             self._tell(error)
         if file.run_id != self._own.run_id:
             self._tidy(file.run_id)
+
+    def _settle(self, run_id: str, seq: int) -> None:
+        try:
+            self._in_hand[run_id].settle(seq)
+        except OSError as error:
+            self._tell(error)
 
     def _tidy(self, run_id: str) -> None:
         """A run of before of which nothing is left."""

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
+from edge_agent.features.integer import FLAT
+
 FASTMATH = {"contract", "nsz"}
 _UNKNOWN = 10  # which way it faces
 _BESIDE = 8  # columns: a point of the next ring further away says nothing of this one
@@ -35,6 +37,26 @@ def sharpest(rank, target, chosen):
                 chosen[i] = 1
         total += chosen[i]
     return total
+
+
+@njit(cache=True, nogil=True)
+def pick(index, chosen, kept):
+    """kept[:n] = index (K,) where chosen (K,) is not 0; returns n."""
+    n = 0
+    for i in range(len(index)):
+        kept[n] = index[i]
+        n += chosen[i] != 0
+    return n
+
+
+@njit(cache=True, nogil=True)
+def sharpest_of(rank, corners, target, kept):
+    """kept[:n] = `target` of corners (K,), see `sharpest`; rank (N,) is that of every point. Returns n."""
+    ranks, chosen = np.empty(len(corners), np.int64), np.empty(len(corners), np.uint8)
+    for k in range(len(corners)):
+        ranks[k] = rank[corners[k]]
+    sharpest(ranks, target, chosen)
+    return pick(corners, chosen, kept)
 
 
 @njit(cache=True, nogil=True)
@@ -137,6 +159,42 @@ def spread_by_group(group, target, chosen):
         carry[g] -= counts[g] if chosen[i] else 0
         total += chosen[i]
     return total
+
+
+@njit(cache=True, nogil=True)
+def spread_of(index, target, kept):
+    """kept[:n] = `target` of index (K,), see `spread`. Returns n."""
+    chosen = np.empty(len(index), np.uint8)
+    spread(target, chosen)
+    return pick(index, chosen, kept)
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def facing_all_ways(points, column, ring_start, surfs, marks, target, kept):
+    """kept[:n] = `target` of surfs (K,): flat and reliable ones, evenly by which way they face; rougher ones only when
+    there are too few. Returns n.
+
+    Rusinkiewicz, Levoy, "Efficient variants of the ICP algorithm", 2001, section 3.1: normal-space sampling.
+    """
+    flat, flats = np.empty(len(surfs), np.int32), 0
+    for k in range(len(surfs)):
+        flat[flats] = surfs[k]
+        flats += marks[surfs[k]] == FLAT
+    group, chosen = np.empty(flats, np.uint8), np.empty(len(surfs), np.uint8)
+    facing(points, column, ring_start, flat[:flats], group)
+    taken = spread_by_group(group, target, chosen[:flats])
+    if taken >= target:
+        return pick(flat[:flats], chosen, kept)
+    spread(target - taken, chosen[flats:])
+    flats = n = 0
+    for k in range(len(surfs)):  # both are in the order of surfs
+        kept[n] = surfs[k]
+        if marks[surfs[k]] == FLAT:
+            n += chosen[flats] != 0
+            flats += 1
+        else:
+            n += chosen[len(group) + k - flats] != 0
+    return n
 
 
 @njit(cache=True, nogil=True)

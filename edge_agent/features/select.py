@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge_agent.features import _choice_kernels as choice
 from edge_agent.features import _kernels as kernels
 from edge_agent.features._thinning_kernels import thin_surfs
-from edge_agent.features.integer import FLAT, FeatureMarks
+from edge_agent.features.integer import FeatureMarks
 from edge_agent.features.projection import Image
 from edge_agent.settings import FeatureSettings
 from splitslam.features import FeatureSet
@@ -30,6 +30,7 @@ class Selector:
         self._picked = np.empty(cells, np.uint8)
         self._rank = np.empty(cells, np.uint8 if settings.corners_per_sector < 256 else np.uint16)
         self._corners, self._surfs = np.empty(cells, np.int32), np.empty(cells, np.int32)
+        self._kept_corners, self._kept_surfs = np.empty(cells, np.int32), np.empty(cells, np.int32)
         self._found = self._wanted = (0, 0)
         slots = 1 << (2 * columns - 1).bit_length()
         self._table = np.empty((slots, 2), np.int64)
@@ -61,37 +62,14 @@ class Selector:
         corners, surfs = self._corners[: self._found[0]], self._surfs[: self._found[1]]
         fewer_corners, fewer_surfs = (round(share * wanted) for wanted in self._wanted)
         if not dense or share < 1.0:
-            corners = self._sharpest(corners, fewer_corners)
-            surfs = _spread(surfs, fewer_surfs) if dense else _facing_all_ways(image, surfs, found, fewer_surfs)
+            few = self._kept_corners, self._kept_surfs
+            corners = few[0][: choice.sharpest_of(self._rank, corners, fewer_corners, few[0])]
+            if dense:
+                surfs = few[1][: choice.spread_of(surfs, fewer_surfs, few[1])]
+            else:
+                seen = image.points_lidar, image.column, image.ring_start
+                surfs = few[1][: choice.facing_all_ways(*seen, surfs, found.marks, fewer_surfs, few[1])]
         return _taken(image, corners), _taken(image, surfs)
-
-    def _sharpest(self, corners: Index, target: int) -> Index:
-        """The sharpest of every sector first, then the second of each, until there are enough."""
-        chosen = np.empty(len(corners), np.bool_)
-        choice.sharpest(self._rank[corners], target, chosen)
-        return corners[chosen]
-
-
-def _spread(index: Index, target: int) -> Index:
-    chosen = np.empty(len(index), np.bool_)
-    choice.spread(target, chosen)
-    return index[chosen]
-
-
-def _facing_all_ways(image: Image, surfs: Index, found: FeatureMarks, target: int) -> Index:
-    """Flat and reliable ones, evenly by which way they face; rougher ones only when there are too few.
-
-    Rusinkiewicz, Levoy, "Efficient variants of the ICP algorithm", 2001, section 3.1: normal-space sampling.
-    """
-    is_flat = found.marks[surfs] == FLAT
-    flat = surfs[is_flat]
-    group, chosen = np.empty(len(flat), np.uint8), np.empty(len(flat), np.bool_)
-    choice.facing(image.points_lidar, image.column, image.ring_start, flat, group)
-    taken = choice.spread_by_group(group, target, chosen)
-    flat = flat[chosen]
-    if taken >= target:
-        return flat
-    return np.sort(np.concatenate([flat, _spread(surfs[~is_flat], target - taken)]))
 
 
 def _taken(image: Image, index: Index) -> FeatureSet:

@@ -8,10 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from edge_agent.imu._kernels import integrate
 from splitslam._motion_kernels import rotation_from_vector, vector_of
 from splitslam._se3_kernels import adjoint, exp, inverse, multiply
 
 FASTMATH = {"contract", "arcp", "nsz"}
+LONGEST_STEP_NS = 10_000_000
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -82,6 +84,29 @@ def disturb(P, T_server_imu, variances):
         for c in range(6):
             for k in range(6):
                 P[15 + r, 15 + c] += carry[r, k] * variances[3 + k // 3] * carry[c, k]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def predict(window, T_server_imu, gravity_mps2, variances, poses, rest, P, error):
+    """Brings poses (2, 4, 4), rest (10,), error (N,) and its covariance P (N, N) from a window's start to its end.
+
+    window: (stamps_ns (M,), gyro (M, 3), accel (M, 3)). variances (8,), a second: of rotation, position and velocity,
+    see `carry`; of what wanders, see `disturb`. T_server_imu (4, 4): at the window's end.
+    """
+    stamps_ns, gyro, accel = window
+    states, last = np.empty((len(stamps_ns), 15)), len(stamps_ns) - 1
+    for r in range(3):
+        for c in range(3):
+            states[0, 3 * r + c] = poses[0, r, c]
+        states[0, 9 + r], states[0, 12 + r] = poses[0, r, 3], rest[r]
+    integrate(stamps_ns, gyro, accel, rest[3:9], gravity_mps2, states)
+    carry(stamps_ns, states, gravity_mps2, variances[:3], LONGEST_STEP_NS, P, error.reshape(-1, 1))
+    disturb(P, T_server_imu, variances[3:] * ((stamps_ns[last] - stamps_ns[0]) * 1e-9))
+    w = np.empty(3)
+    vector_of(states[last, :9].reshape(3, 3), w)
+    rotation_from_vector(w[0], w[1], w[2], poses[0])  # again orthonormal
+    for r in range(3):
+        poses[0, r, 3], rest[r] = states[last, 9 + r], states[last, 12 + r]
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)

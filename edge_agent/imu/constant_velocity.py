@@ -43,7 +43,7 @@ class ConstantVelocityNode:
         self._last_ns: int | None = None
         self._slips = 0
 
-    def add_imu(self, samples: ImuSamples) -> OdomPoses:
+    def add_imu(self, samples: ImuSamples, later: bool = False) -> OdomPoses:
         """Ignores samples: there is no IMU, or it is switched off."""
         return OdomPoses(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)))
 

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_agent.imu import _filter_kernels as kernels
-from edge_agent.imu._kernels import integrate
 from edge_agent.imu.buffer import ImuWindow
+from edge_agent.imu.rest import AtRest
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.state import ImuNoise, NavigationState
 from edge_agent.imu.wheel_factor import WANDER_RTS, WheelFactors, WheelVelocity
@@ -32,8 +32,7 @@ from splitslam import se3
 
 Array = NDArray[np.float64]
 Residual = tuple[Array, Array]  # (K,) in standard deviations, (K, N) its derivatives
-_LONGEST_STEP_NS = 10_000_000
-_POSITION_VARIANCE = 1e-8  # a second, of the integration itself
+_POSITION_RTS = 1e-4  # m in a root second, of the integration itself
 _HUBER = 2.0
 _ITERATIONS = 5
 _SETTLED = 0.01  # standard deviations
@@ -55,6 +54,7 @@ class _Answer:
     noise: ImuNoise
     unobserved: Array
     wheel: WheelVelocity | None
+    rest: AtRest | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +99,8 @@ class MotionFilter:
 
     def __init__(self, settings: ImuSettings, gravity_mps2: float, wheels: WheelFactors | None = None) -> None:
         self.settings, self.gravity_mps2, self.wheels = settings, gravity_mps2, wheels
+        self._sigmas = np.repeat([settings.lidar_rotation_rad, settings.lidar_translation_m], 3)
+        self._whiten_all = np.diag(1.0 / self._sigmas)
 
     def start(self, state: NavigationState, T_server_imu: Array, tilt_sigma_rad: float) -> None:
         """Position and yaw define `odom`, tilt and velocity are as uncertain as they are."""
@@ -144,12 +146,13 @@ class MotionFilter:
         noise: ImuNoise,
         unobserved: Array,
         wheel: WheelVelocity | None = None,
+        rest: AtRest | None = None,
     ) -> None:
-        """Next scan: its pose in the server's odometry frame, the IMU since the last, the wheels; updates `state`.
+        """Next scan: its pose in the server's odometry frame, the IMU since the last, wheels, rest; updates `state`.
 
         unobserved (A, 6): directions, right tangent of the IMU's pose, in which that pose is only a prediction.
         """
-        answer = _Answer(T_server_imu, window, noise, unobserved, wheel)
+        answer = _Answer(T_server_imu, window, noise, unobserved, wheel, rest)
         self._take(answer)
         if self._is_young:
             self._look_back([*self._answers, answer])
@@ -158,11 +161,13 @@ class MotionFilter:
         self._read(stamp_ns)
 
     def _take(self, answer: _Answer) -> None:
-        self._predict(answer.window, answer.noise, answer.T_server_imu)
+        self._predict(answer)
         whiten = self._whiten(answer.unobserved)
         self._correct(lambda mean: self._pose_residual(mean, answer.T_server_imu, whiten))
         if (wheel := answer.wheel) is not None:
             self._correct(lambda mean: self._wheel_residual(mean, wheel))
+        if (rest := answer.rest) is not None:
+            self._correct(lambda mean: self._rest_residual(mean, rest))
 
     @property
     def _is_young(self) -> bool:
@@ -184,28 +189,18 @@ class MotionFilter:
             self._mean = self._mean.moved(self._error[:n])
             self._P, self._error = self._P[:n, :n].copy(), np.zeros(n)
 
-    def _predict(self, window: ImuWindow, noise: ImuNoise, T_server_imu: Array) -> None:
+    def _predict(self, answer: _Answer) -> None:
         """The IMU over the window; meanwhile biases wander, and the server's odometry frame bends: about the robot,
         not about its origin."""
-        mean, P, s = self._mean, self._P, self.settings
-        states = np.empty((len(window.stamps_ns), 15))
-        states[0, :9], states[0, 9:12], states[0, 12:] = (
-            mean.T_odom_imu[:3, :3].reshape(-1),
-            mean.T_odom_imu[:3, 3],
-            mean.velocity_mps,
-        )
-        g = self.gravity_mps2
-        integrate(window.stamps_ns, window.gyro_radps, window.accel_mps2, mean.bias, g, states)
-        variances = np.array([noise.gyro_radps_rthz**2, _POSITION_VARIANCE, noise.accel_mps2_rthz**2])
-        kernels.carry(window.stamps_ns, states, g, variances, _LONGEST_STEP_NS, P, self._error[:, None])
-        seconds = float(window.stamps_ns[-1] - window.stamps_ns[0]) * 1e-9
+        s, noise, window = self.settings, answer.noise, answer.window
         wander = WANDER_RTS if self.wheels is not None else 0.0
         drift = s.drift_rotation_rad_rts, s.drift_translation_m_rts
-        wandered = np.array([noise.gyro_walk, noise.accel_walk, wander, *drift]) ** 2 * seconds
-        kernels.disturb(P, T_server_imu, wandered)
-        R = se3.so3_exp(se3.so3_log(states[-1, :9].reshape(3, 3)))  # again orthonormal
-        T_odom_imu = se3.compose(R, states[-1, 9:12])
-        self._mean = _Mean(np.array([T_odom_imu, mean.poses[1]]), np.concatenate([states[-1, 12:], mean.rest[3:]]))
+        moves = noise.gyro_radps_rthz, _POSITION_RTS, noise.accel_mps2_rthz
+        variances = np.array([*moves, noise.gyro_walk, noise.accel_walk, wander, *drift]) ** 2
+        imu = window.stamps_ns, window.gyro_radps, window.accel_mps2
+        poses, rest = self._mean.poses.copy(), self._mean.rest.copy()
+        kernels.predict(imu, answer.T_server_imu, self.gravity_mps2, variances, poses, rest, self._P, self._error)
+        self._mean = _Mean(poses, rest)
 
     def _correct(self, residual: Callable[[_Mean], Residual]) -> None:
         """One measurement, with less weight the more it contradicts (Huber), and relinearised where it leads to.
@@ -241,11 +236,9 @@ class MotionFilter:
 
     def _whiten(self, unobserved: Array) -> Array:
         """(6, 6) that makes standard deviations of errors of the LiDAR's pose, right tangent."""
-        s = self.settings
-        sigmas = np.repeat([s.lidar_rotation_rad, s.lidar_translation_m], 3)
         if not len(unobserved):
-            return np.diag(1.0 / sigmas)
-        covariance = np.diag(sigmas**2) + s.unobserved_m**2 * unobserved.T @ unobserved
+            return self._whiten_all
+        covariance = np.diag(self._sigmas**2) + self.settings.unobserved_m**2 * unobserved.T @ unobserved
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
 
     def _wheel_residual(self, mean: _Mean, wheel: WheelVelocity) -> Residual:
@@ -255,6 +248,14 @@ class MotionFilter:
         H = np.zeros((len(error), len(self._P)))
         H[:, columns] = derivatives / wheel.sigmas_mps[:, None]
         return error / wheel.sigmas_mps, H
+
+    def _rest_residual(self, mean: _Mean, rest: AtRest) -> Residual:
+        """What is left of gravity, as the accelerometer has it: of a robot in rest its tilt and bias are to blame."""
+        R = mean.T_odom_imu[:3, :3]
+        force = R @ (rest.accel_mps2 - mean.bias[3:])
+        H = np.zeros((3, len(self._P)))
+        H[:, _ROTATION], H[:, 12:15] = -se3.hat(force), -R
+        return (force - [0.0, 0.0, self.gravity_mps2]) / rest.sigma_mps2, H / rest.sigma_mps2
 
     def _read(self, stamp_ns: int) -> None:
         mean, P = self._mean.moved(self._error[: self._n]), self._P

@@ -18,9 +18,11 @@ from edge_agent.imu.filter import MotionFilter
 from edge_agent.imu.gaps import Gaps, carried_on
 from edge_agent.imu.levelling import MOVING_TILT_RAD, UNKNOWN_TILT_RAD, level, level_at
 from edge_agent.imu.output import ContinuousOutput, no_poses
+from edge_agent.imu.rest import Rest
 from edge_agent.imu.scan_motion import ScanMotion
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.state import ImuNoise, NavigationState
+from edge_agent.imu.unseen import unseen
 from edge_agent.imu.wheel_factor import WheelVelocity
 from edge_agent.imu.wheels import WheelAid
 from edge_agent.types import OdometryReply, OdomPoses
@@ -32,7 +34,10 @@ from splitslam.scan import ImuSamples, WheelSamples
 Array = NDArray[np.float64]
 INITIALISING, TRACKING, UNANCHORED = 1, 2, 4
 _LEVEL_NS = 100_000_000
+_BACK_NS = 2_000_000_000  # before the newest sample a scan may begin that comes after silence
+_SILENT_NS = 60_000_000_000  # without a sample: as good as for ever, nobody knows any motion over that
 _FIRST_READING_NS = 50_000_000
+_NO_TURN = 0, np.eye(3)
 
 
 class ImuNode:
@@ -44,7 +49,7 @@ class ImuNode:
         self.T_imu_lidar = se3.inv(robot.T_lidar_imu)
         self.buffer = ImuBuffer()
         self.gaps = Gaps(robot.imu.rate_hz if robot.imu is not None else 100.0)
-        self._rate_imu = np.zeros(3)  # as the last two answers have it, rad/s
+        self._before = self._after = _NO_TURN  # (stamp_ns, R_odom_imu) of the last two answers
         self.wheels = None if robot.wheels is None else WheelAid(robot, settings)
         self.filter = MotionFilter(settings, robot.gravity_mps2, None if self.wheels is None else self.wheels.factors)
         self.output = ContinuousOutput(settings, self.T_imu_lidar)
@@ -53,6 +58,7 @@ class ImuNode:
         self.state = INITIALISING
         self.covariance = np.eye(6)
         self.resets = 0
+        self._rest = Rest()
         self._anchor: NavigationState | None = None
         self._started = False  # the filter has its first scan
         self._blind = False  # no sample has come: nobody knows where down is
@@ -62,31 +68,96 @@ class ImuNode:
         self._live_P = np.eye(3)  # of the velocity, in `odom`
         self._live_wheel_ns = 0
         self._previous_scan_ns: int | None = None
+        self._unseen_ns: int | None = None  # the scan after which none came for so long that the way from it is unknown
         self._tilt_sigma_rad = 0.1
 
     # --- IMU rate ---------------------------------------------------------------------------------------------
 
-    def add_imu(self, samples: ImuSamples) -> OdomPoses:
-        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan)."""
+    def add_imu(self, samples: ImuSamples, later: bool = False) -> OdomPoses:
+        """Takes samples, newer than all before; returns T_odom_lidar at each of them (none before the first scan).
+
+        later: there are more to come at once, whose poses will have these before them.
+        """
         if len(samples) == 0:
             return no_poses()
         if self._anchor is not None and self.gaps.between(self.buffer.last_ns, int(samples.stamps_ns[0])):
-            self._bridge(int(samples.stamps_ns[0]) - 1, samples.gyro_radps[0])
+            self._go_over_gap(int(samples.stamps_ns[0]) - 1, samples.gyro_radps[0])
         self.gaps.seen(samples.stamps_ns)
         self.buffer.append(samples)
         if self._anchor is None:
+            self.buffer.drop_before(self.buffer.last_ns - self._kept_ns)
+        if self._anchor is None or later:
             return no_poses()
-        return self._propagate(int(samples.stamps_ns[-1]))
+        poses = self._propagate(int(samples.stamps_ns[-1]))
+        self._let_go()
+        return poses
+
+    @property
+    def _kept_ns(self) -> int:
+        """So long samples, poses and the state that an answer may correct are kept without a scan."""
+        return int(self.settings.history_s * 1e9)
+
+    def _go_over_gap(self, until_ns: int, gyro_after: Array | None) -> None:
+        if until_ns - self.buffer.last_ns > _SILENT_NS:
+            self._stand_until(until_ns)
+        else:
+            self._bridge(until_ns, gyro_after)
+
+    def _stand_until(self, until_ns: int) -> None:
+        """All that is said of the robot after so long a silence is that it stands where it was seen last."""
+        anchor, start_ns, stamp_ns = self._anchor, self.buffer.last_ns, until_ns - _BACK_NS
+        assert anchor is not None
+        T_odom_imu = self.T_odom_lidar_at(self._live_ns) @ self.T_lidar_imu
+        row = np.concatenate([T_odom_imu[:3, :3].reshape(9), T_odom_imu[:3, 3], np.zeros(3)])
+        g, gyro = self.robot.gravity_mps2, anchor.bias[:3]
+        for rest in ((stamp_ns - 1, stamp_ns), (stamp_ns, until_ns)):
+            self.buffer.append(carried_on(*rest, (gyro, gyro), row, anchor.bias, g), made=True)
+        self.gaps.remember(start_ns, until_ns)
+        self._live, self._live_ns = row[None], stamp_ns
+        self.output.begin(stamp_ns, T_odom_imu)
+        self._begin_unseen(stamp_ns, T_odom_imu, np.zeros(3), UNKNOWN_TILT_RAD)
+
+    def _let_go(self) -> None:
+        """Without scans nobody asks for what was integrated so far: it is not kept to be integrated again."""
+        anchor, stamp_ns = self._anchor, self._live_ns - _BACK_NS
+        assert anchor is not None
+        if stamp_ns - max(anchor.stamp_ns, self._previous_scan_ns or 0) <= self._kept_ns:
+            return
+        if stamp_ns - (self._previous_scan_ns or 0) > _SILENT_NS:  # biases have long made up whatever motion there is
+            window = self.buffer.window(stamp_ns, self._live_ns)
+            T_odom_lidar = level_at(self.T_odom_lidar_at(stamp_ns), window, self.T_lidar_imu[:3, :3])
+            self._begin_unseen(stamp_ns, T_odom_lidar @ self.T_lidar_imu, np.zeros(3), MOVING_TILT_RAD)
+            return
+        window, P = self.buffer.window(anchor.stamp_ns, stamp_ns), anchor.velocity_covariance.copy()
+        row = self._integrate(window, _row(anchor), self._wheels_after(anchor), P)[-1]
+        T_odom_imu = se3.compose(row[:9].reshape(3, 3), row[9:12])
+        self._begin_unseen(stamp_ns, T_odom_imu, row[12:].copy(), MOVING_TILT_RAD)
+
+    def _begin_unseen(self, stamp_ns: int, T_odom_imu: Array, velocity_mps: Array, tilt_sigma_rad: float) -> None:
+        """From here on. What came before is forgotten, and with it the way since the last scan; nothing is sure of the
+        velocity."""
+        anchor = self._anchor
+        assert anchor is not None
+        self._unseen_ns = self._previous_scan_ns if self._unseen_ns is None else self._unseen_ns
+        self._started, self._answers, self._tilt_sigma_rad = False, 0, tilt_sigma_rad
+        P = np.eye(3) * self.settings.prior_velocity_mps**2
+        self._take(NavigationState(stamp_ns, T_odom_imu, velocity_mps, anchor.bias, P, tilt_sigma_rad))
+        self._drop_before(stamp_ns, stamp_ns)
 
     def _bridge(self, until_ns: int, gyro_after: Array | None) -> None:
         """Fills a gap of the IMU; gyro_after: what it said when it came back, None while it is silent."""
         anchor = self._anchor
         assert anchor is not None
-        start_ns, rate = self.buffer.last_ns, self._rate_imu + anchor.bias[:3]
+        start_ns, rate = self.buffer.last_ns, self._rate_imu() + anchor.bias[:3]
         gyro = (rate, rate) if gyro_after is None else (self.buffer.last_gyro_radps, gyro_after)
         g = self.robot.gravity_mps2
         self.buffer.append(carried_on(start_ns, until_ns, gyro, self._live[0], anchor.bias, g), made=True)
         self.gaps.remember(start_ns, until_ns)
+
+    def _rate_imu(self) -> Array:
+        """(3,) turning rate between the last two answers, rad/s; 0 without them."""
+        (before_ns, R_before), (after_ns, R_after) = self._before, self._after
+        return se3.so3_log(R_before.T @ R_after) / (max(after_ns - before_ns, 1) * 1e-9)
 
     def _propagate(self, end_ns: int) -> OdomPoses:
         if end_ns <= self._live_ns:
@@ -156,7 +227,7 @@ class ImuNode:
         if self._anchor is None:
             self._initialise(start_ns, end_ns)
         elif self.gaps.between(self.buffer.last_ns, end_ns):
-            self._bridge(end_ns, None)
+            self._go_over_gap(end_ns, None)
             self._propagate(end_ns)
         anchor = self._anchor
         assert anchor is not None
@@ -175,6 +246,8 @@ class ImuNode:
         motion = self._scan_motion.of(window, states, rows, anchor.bias, P, noise, (tilt_rad, self._answers >= 2))
         if start_ns - anchor.stamp_ns > self.settings.history_s * 1e9:
             self._go_on_from(start_ns, states[rows[1]], P)
+        if self._unseen_ns is not None:
+            motion, self._unseen_ns = unseen(motion, (start_ns - self._unseen_ns) * 1e-9), None
         return motion
 
     def _drop_before(self, samples_ns: int, wheels_ns: int) -> None:
@@ -274,9 +347,12 @@ class ImuNode:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
             wheel = self._wheels_at_scan(window)
             noise = self._noise(anchor.stamp_ns, reply.stamp_ns)
-            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
-            turned = anchor.T_odom_imu[:3, :3].T @ self.filter.state.T_odom_imu[:3, :3]
-            self._rate_imu = se3.so3_log(turned) / ((reply.stamp_ns - anchor.stamp_ns) * 1e-9)
+            if self.gaps.overlap(anchor.stamp_ns, reply.stamp_ns):
+                self._rest.over = True
+            rest = self._rest.seen(window)
+            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel, rest)
+            self._before = anchor.stamp_ns, anchor.T_odom_imu[:3, :3]
+            self._after = reply.stamp_ns, self.filter.state.T_odom_imu[:3, :3]
             if self.filter.failed:
                 self.resets += 1
                 self._started = False
@@ -292,7 +368,8 @@ class ImuNode:
 
     def _axes_imu(self, reply: OdometryReply) -> Array:
         """The unobserved directions (A, 6) of the IMU's pose: the LiDAR's, moved by the extrinsics."""
-        return reply.degenerate_axes @ se3.adjoint(self.T_imu_lidar).T
+        axes = reply.degenerate_axes
+        return axes @ se3.adjoint(self.T_imu_lidar).T if len(axes) else axes
 
     def _wheels_at_scan(self, window: ImuWindow) -> WheelVelocity | None:
         if self.wheels is None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_agent.sources._kernels import all_within, goes_on
 from edge_agent.sources.stream_clock import JUMP_NS, StreamClock
 from edge_agent.sources.time_map import TimeMap
 from splitslam.logs import fields
@@ -18,6 +19,7 @@ from splitslam.scan import GnssFix, ImuSamples, Scan, ScanPacket, WheelSamples
 _MAX_WAITING = 20
 # What is beyond is no measurement, and one of it would throw `odom` away for good: 5,700 deg/s, 100 g.
 _MOST_RADPS, _MOST_MPS2 = 100.0, 1000.0
+_MOST_M = float(np.finfo(np.float32).max)  # of a point: all but NaN and infinity
 _log = logging.getLogger(__name__)
 Item = ImuSamples | WheelSamples | ScanPacket
 
@@ -89,7 +91,7 @@ class Sequencer:
         if len(scan) == 0:
             self.dropped["empty"] += 1
             return []
-        if not np.isfinite(scan.points_lidar).all():
+        if not all_within(scan.points_lidar, _MOST_M):
             self.dropped["nan"] += 1
             return []
         passed = self._scan_clock.admit(scan.stamp_ns, scan.stamp_ns, scan, arrival_ns)
@@ -124,8 +126,7 @@ class Sequencer:
         return [_slice(samples, k, k + 1) for k in range(len(samples))]
 
     def _goes_on(self, samples: ImuSamples) -> bool:
-        step_ns = np.diff(samples.stamps_ns)
-        return self._imu_clock.follows(int(samples.stamps_ns[0])) and bool(((step_ns > 0) & (step_ns <= JUMP_NS)).all())
+        return self._imu_clock.follows(int(samples.stamps_ns[0])) and goes_on(samples.stamps_ns, JUMP_NS)
 
     def _emit(self, samples: ImuSamples) -> list[Item]:
         """The samples, with each waiting scan put right after the first sample at or after its end."""
@@ -161,8 +162,7 @@ class Sequencer:
 
 def _is_usable(samples: ImuSamples) -> bool:
     """Finite, and within what a sensor measures."""
-    gyro, accel = np.abs(samples.gyro_radps), np.abs(samples.accel_mps2)
-    return bool((gyro <= _MOST_RADPS).all() and (accel <= _MOST_MPS2).all())  # false for NaN
+    return all_within(samples.gyro_radps, _MOST_RADPS) and all_within(samples.accel_mps2, _MOST_MPS2)
 
 
 def _take(samples: ImuSamples, keep: NDArray[np.bool_]) -> ImuSamples:

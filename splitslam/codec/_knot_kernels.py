@@ -118,6 +118,19 @@ def continue_rate(times, values, residuals, decoding):
             n += 1
 
 
+@njit(cache=True, nogil=True, fastmath=FASTMATH)
+def settle(times, even, rotation, translation_m):
+    """Knots (K, 3) at times (K,) become the nearest that can be coded, see `halve`; False: not finite or too far."""
+    values, residuals = np.empty((len(times), 6), np.int64), np.empty(6 * len(times), np.int64)
+    if not to_units(rotation, translation_m, values):
+        return False
+    if even:
+        halve(values, residuals, False)
+    else:
+        continue_rate(times, values, residuals, False)
+    return from_units(values, rotation, translation_m)
+
+
 @borrowing
 def code_times(state, data, model, context, times, even):
     """times (K,) int64, ns: as second differences in whole units; of even ones the first and the last. False: they do

@@ -33,10 +33,8 @@ def quantise_knots(knots: Knots) -> Knots:
         times = _even(first, last, intervals + 1)
     rotation, translation = np.empty((len(times), 3)), np.empty((len(times), 3))
     _motion_kernels.resample(offsets, knots.rotation, knots.translation_m, times, rotation, translation)
-    values = np.empty((len(times), 6), np.int64)
-    _to_units(rotation, translation, values)
-    _predict(times, values, np.empty(values.size, np.int64), False, _halves(times))
-    kernels.from_units(values, rotation, translation)
+    if not kernels.settle(times, _halves(times), rotation, translation):
+        raise ValueError("knots that are not finite or move too far")
     return Knots(times, rotation, translation)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from splitslam._se3_kernels import exp, log, multiply
-from splitslam.registration._kernels import COUNT, FASTMATH, KEYFRAME, KIND, PLANE
+from splitslam.registration._kernels import COUNT, FASTMATH, KEYFRAME, KIND, L_MAX, L_MID, L_MIN, LONGEST, PLANE
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -51,9 +51,9 @@ def offset_from_fit(g, T, px, py, pz, point_sigma_m):
     along = dx * g[3] + dy * g[4] + dz * g[5]
     across2 = max(dx * dx + dy * dy + dz * dz - along * along, 0.0)
     if g[KIND] == PLANE:
-        square, aside2, thin, spread = along * along, across2, g[6], g[7]
+        square, aside2, thin, spread = along * along, across2, g[L_MIN], g[L_MID]
     else:
-        square, aside2, thin, spread = across2, along * along, g[7], g[8]
+        square, aside2, thin, spread = across2, along * along, g[L_MID], g[L_MAX]
     variance = (thin + point_sigma_m * point_sigma_m) * (1.0 + (1.0 + aside2 / (spread + 1e-4)) / g[COUNT])
     return dx, dy, dz, along, square, variance
 
@@ -142,23 +142,20 @@ def spurious(fits, points_lidar, T, noise, H):
         px, py, pz = points_lidar[k, 0], points_lidar[k, 1], points_lidar[k, 2]
         square, variance = offset_from_fit(g, T, px, py, pz, noise[0])[4:]
         weight = 1.0 / ((1.0 + square / (variance * noise[1] * noise[1])) * variance)
-        thin = g[6] if g[KIND] == PLANE else g[7]
+        thin = g[L_MIN] if g[KIND] == PLANE else g[L_MID]
         tilt = max(thin, 2.5e-5) / max(g[COUNT] - 3.0, 1.0)
         for row in range(2):
             if g[KIND] == PLANE:
+                lx, ly, lz = g[LONGEST], g[LONGEST + 1], g[LONGEST + 2]
                 if row == 0:
-                    nx, ny, nz = g[10], g[11], g[12]
-                    s = weight * tilt / (g[8] + 1e-6)
+                    nx, ny, nz = lx, ly, lz
+                    s = weight * tilt / (g[L_MAX] + 1e-6)
                 else:
-                    nx, ny, nz = (
-                        g[4] * g[12] - g[5] * g[11],
-                        g[5] * g[10] - g[3] * g[12],
-                        g[3] * g[11] - g[4] * g[10],
-                    )
-                    s = weight * tilt / (g[7] + 1e-6)
+                    nx, ny, nz = g[4] * lz - g[5] * ly, g[5] * lx - g[3] * lz, g[3] * ly - g[4] * lx
+                    s = weight * tilt / (g[L_MID] + 1e-6)
             else:  # both directions across the line waver along it
                 nx, ny, nz = g[3], g[4], g[5]
-                s = weight * tilt / (g[8] + 1e-6)
+                s = weight * tilt / (g[L_MAX] + 1e-6)
             jacobian(T, nx, ny, nz, px, py, pz, J)
             for r in range(6):
                 for c in range(r, 6):

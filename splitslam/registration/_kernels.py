@@ -3,11 +3,13 @@
 Layout:
   slots   (C, 2) int64: key and row. Key: level << 60 | ix << 40 | iy << 20 | iz, biased by 2^19; -1: free.
   moments (R, 10) float64: n, sum of (x y z), sum of (xx xy xz yy yz zz), relative to the voxel's centre.
-  geometry (R, 16) float64: mean (3), axis (3: plane normal or line direction), l_min, l_mid, l_max, kind, longest
-  axis (3), n, index of the keyframe that saw the voxel first, next free row. Two cache lines: all that a match needs.
+  geometry (R, 16) float64, two cache lines. What a point is held against: mean (3), axis (3: plane normal or line
+  direction), square of how far along itself a fit reaches, kind. What a match is worth: l_min, l_mid, l_max, longest
+  axis (3), n, index of the keyframe that saw the voxel first; of a free row: the next one.
   pool    (2,) int64: how many rows were ever used, and the first of those that are free again; -1: none.
-Kind: 0 none, 1 plane, 2 line, -1 moments have changed since the fit. C is a power of two, R half of it.
-Rows are taken one after the other, so memory is touched as voxels come, and neighbours lie side by side.
+Kind: 0 none, 1 plane, 2 line, -1 moments have changed since the fit. C is a power of two from 8 on, R half of it.
+Rows are taken one after the other, so memory is touched as voxels come, and neighbours lie side by side. So do the
+slots of the eight voxels that share a voxel of twice the size: a point looks at several of them.
 Rules (7,) float64: size of the finest voxels (m), levels, kind of the fits, and their limits: n_min, largest sigma of
 the thin directions (m), smallest sigma of the wide ones as a share of the voxel's size, largest ratio thin/wide sigma.
 """
@@ -22,8 +24,10 @@ from numba import njit
 FASTMATH = {"contract", "arcp", "nsz"}
 BIAS = 1 << 19
 MASK = (1 << 20) - 1
+_LAST_BITS = (1 << 40) | (1 << 20) | 1  # of the three indices in a key
 MOMENTS, GEOMETRY = 10, 16
-KIND, COUNT, KEYFRAME, NEXT = 9, 13, 14, 15
+REACH, KIND, L_MIN, L_MID, L_MAX, LONGEST, COUNT, KEYFRAME = 6, 7, 8, 9, 10, 11, 14, 15
+NEXT = KEYFRAME  # of a free row
 EVER_USED, FREE = 0, 1  # of `pool`
 PLANE = 1.0
 LINE = 2.0
@@ -38,9 +42,11 @@ def pack(level, ix, iy, iz):
 
 @njit(cache=True, nogil=True, inline="always")
 def home_of(slots, key):
-    """Where `key` is looked for first (Fibonacci hashing)."""
-    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    return (h >> np.uint64(32)) & np.uint64(len(slots) - 1)
+    """Where `key` is looked for first: its place among eight, which begin where a hash (multiply, fold) says."""
+    h = np.uint64(key & ~_LAST_BITS) * np.uint64(0x9E3779B97F4A7C15)
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    among = ((key >> 38) & 4) | ((key >> 19) & 2) | (key & 1)
+    return ((h >> np.uint64(29)) & np.uint64(len(slots) - 8)) | np.uint64(among)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -233,9 +239,10 @@ def fit(key, m, g, rules, A, V):
     g[1] = my + ((((key >> 20) & MASK) - BIAS) + 0.5) * size
     g[2] = mz + (((key & MASK) - BIAS) + 0.5) * size
     g[3], g[4], g[5] = V[0, axis], V[1, axis], V[2, axis]
-    g[6], g[7], g[8] = l_min, l_mid, l_max
+    g[REACH] = 9.0 * (l_mid + l_max if rules[2] == PLANE else l_max) + 0.01
     g[KIND], g[COUNT] = rules[2], n
-    g[10], g[11], g[12] = V[0, hi], V[1, hi], V[2, hi]
+    g[L_MIN], g[L_MID], g[L_MAX] = l_min, l_mid, l_max
+    g[LONGEST], g[LONGEST + 1], g[LONGEST + 2] = V[0, hi], V[1, hi], V[2, hi]
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)
@@ -291,11 +298,11 @@ def match(slots, moments, geometry, rules, points_lidar, T, gate_m, fits):
                 square = dx * dx + dy * dy + dz * dz
                 if g[KIND] == PLANE:
                     distance = abs(along)
-                    if square - along * along > 9.0 * (g[7] + g[8]) + 0.01:
+                    if square - along * along > g[REACH]:
                         continue
                 else:
                     distance = math.sqrt(max(square - along * along, 0.0))
-                    if along * along > 9.0 * g[8] + 0.01:
+                    if along * along > g[REACH]:
                         continue
                 if distance < best:
                     best = distance

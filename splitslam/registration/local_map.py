@@ -32,7 +32,7 @@ class VoxelMap:
         self.settings = s = settings
         limits = s.min_points, s.max_thickness_m, s.min_extent_share, s.max_thickness_ratio
         self.rules = np.array([s.voxel_m, s.levels, kind, *limits], np.float64)
-        self._allocate(capacity)
+        self._allocate(max(capacity, 8))
 
     def _allocate(self, capacity: int) -> None:
         self.slots = np.full((capacity, 2), -1, np.int64)

@@ -9,6 +9,7 @@ import itertools
 import threading
 import time
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from edge_agent.config import UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.stream import Stream
+from edge_agent.supervisor import Supervisor
 from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer, matrix
 from splitslam.stack.reel import Reel
@@ -92,21 +94,29 @@ def _apart_m(a: pb.Odometry, b: pb.Odometry) -> float:
     return float(np.linalg.norm(matrix(a.pose_map_lidar)[:3, 3] - matrix(b.pose_map_lidar)[:3, 3]))
 
 
-class _WitnessedUplink(Uplink):
-    """The agent's uplink with somebody who listens in."""
+class _WitnessedSupervisor(Supervisor):
+    """The agent's, with somebody who listens in."""
 
-    def __init__(self, server: str, hello: pb.Hello, witness: Witness) -> None:
-        super().__init__(server, hello, UplinkConfig(), EdgeMetrics(keep=False))
-        self.witness = witness
+    def __init__(self, witness: Witness, *parts: Any) -> None:
+        super().__init__(*parts)
+        self._witness = witness
         self._heard: Stream | None = None
 
     def _on_response(self, stream: Stream, response: pb.StreamResponse) -> None:
-        if self._stream is stream:
+        if self._shared.stream is stream:
             if self._heard is not stream:
                 self._heard = stream
-                self.witness.stream_begins()
-            self.witness.see(response)
+                self._witness.stream_begins()
+            self._witness.see(response)
         super()._on_response(stream, response)
+
+
+class _WitnessedUplink(Uplink):
+    def __init__(self, server: str, hello: pb.Hello, witness: Witness) -> None:
+        settings, metrics = UplinkConfig(), EdgeMetrics(keep=False)
+        super().__init__(server, hello, settings, metrics)
+        parts = server, self._connector, settings, metrics, self._meter, self._shared
+        self._supervisor = _WitnessedSupervisor(witness, *parts)
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from splitslam.chaos.link import Link, Quality
+from splitslam.stack.process import free_port
 
 
 @pytest.fixture
@@ -138,8 +139,7 @@ def test_a_cut_resets_connections_and_takes_new_ones(link: Link):
 
 
 def test_a_server_that_is_not_there_is_not_there_behind_the_link_either():
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     # the reset comes with the first byte or already with the connection, as the threads run
     with Link(f"127.0.0.1:{port}") as link, pytest.raises(ConnectionResetError), connect(link) as end:
         ask(end)

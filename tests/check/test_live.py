@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_agent import check as check_module
 from edge_agent.check import LiveCheck
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.types import OdometryReply
@@ -117,6 +118,18 @@ def answered(robot: Robot, samples: ImuSamples, drive: made.Drive = made.WALK, *
 
 def test_corrections_of_the_map_are_no_motion() -> None:
     assert answered(made.robot(), made.samples(made.WALK, SECONDS)).findings == []
+
+
+@pytest.mark.parametrize("scans", [True, False], ids=["no answers", "no scans either"])
+def test_hours_without_answers_do_not_fill_the_memory(scans: bool) -> None:
+    check, rest, second_ns = LiveCheck(made.robot(), EdgeMetrics()), np.zeros((500, 3)), 1_000_000_000
+    for second in range(3 * 3600):
+        stamps_ns = second * second_ns + np.arange(500) * 2_000_000
+        check.on_event(ImuSamples(stamps_ns, rest, rest))
+        for tenth in range(10 if scans else 0):
+            check.on_event(scan(second * second_ns + tenth * 100_000_000))
+    assert sum(map(len, check._heard.samples)) <= check_module._MOST_SAMPLES + 1001 * 500
+    assert len(check._heard.scans_ns) <= check_module._MOST_SCANS
 
 
 def test_a_wrong_mounting_is_found_and_the_run_sends_people_to_the_command() -> None:

@@ -57,7 +57,7 @@ def test_a_scan_that_cannot_be_encoded_is_counted_and_the_next_one_is_kept(shelf
     bad = whole_scan(1)
     bad.points.points_lidar[0] = float("nan")
     keeper.keep(bad)
-    keeper.lose(2, "motion")
+    keeper.lose(2, 20, "motion")
     keeper.keep(whole_scan(3))
     keeper.flush()
     for seq in (1, 2, 3):
@@ -65,3 +65,23 @@ def test_a_scan_that_cannot_be_encoded_is_counted_and_the_next_one_is_kept(shelf
     keeper.close()
     assert shelf.dropped == {"encode": 1, "motion": 1}
     assert due(shelf) == [3]
+
+
+def test_the_next_agent_knows_of_every_scan_that_a_killed_one_had_not_written_or_heard_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    own, gate = opening(), threading.Event()
+    keeper = CloudKeeper(CloudShelf(tmp_path, 10**6, own), STEP_M, lockstep=False)
+    keeper.keep(whole_scan(1))
+    keeper.lose(2, 20, "motion")
+    keeper.lose(3, 30, "motion")
+    keeper.answered(3, False)
+    keeper.flush()
+    monkeypatch.setattr(module.dense_cloud, "encode", lambda *_: b"cloud" if gate.wait(60) else b"")
+    for seq in range(4, 10):  # four wait, or are at work
+        keeper.keep(whole_scan(seq, 1))
+    after = CloudShelf(tmp_path, 10**6, own)
+    assert [kept.seq for kept in after.due(1e9) if kept.gone_ns is None] == [1]
+    assert [kept.seq for kept in after.due(1e9) if kept.gone_ns is not None] == [2, 4, 5, 6, 7, 8, 9]
+    gate.set()
+    keeper.close()

@@ -22,7 +22,7 @@ from splitslam.wire import dense_pb2_grpc as rpc
 from splitslam.wire import session_pb2
 from tests.dense.made import OpenLink, cloud, opening
 from tests.dense.test_service import Connect, drive, stored
-from tests.map_service.harness import Operator, Service
+from tests.map_service.harness import STAMP_0_NS, Operator, Service
 
 KEYFRAMES = (1, 6, 11)
 
@@ -181,3 +181,23 @@ def test_a_cloud_that_was_damaged_on_disk_is_counted_and_not_sent(
         wait_until(lambda: shelf.waiting == 0)
         assert sender.sent == 2
     assert shelf.dropped == {"damaged": 1}
+
+
+def test_of_what_a_killed_agent_had_in_hand_the_service_says_which_were_keyframes_and_they_are_counted(
+    tmp_path: Path, service: Service, connect: Connect, run_id: str, session_id: str
+) -> None:
+    drive(service, connect, 12, bye=True)
+    own = opening(run_id)
+    killed = CloudShelf(tmp_path / "dense", 10**7, own)
+    for seq in (*KEYFRAMES[1:], 8):
+        killed.take(seq, STAMP_0_NS + seq * 100_000_000)
+    killed.put(KEYFRAMES[0], cloud(KEYFRAMES[0]), is_key=True)
+    shelf = CloudShelf(tmp_path / "dense", 10**7, own)
+    with sending(shelf, service, OpenLink()) as sender:
+        wait_until(lambda: not shelf.due(1e9))
+        assert sender.sent == 1
+    assert shelf.dropped == {"killed": len(KEYFRAMES) - 1}
+    assert CloudShelf(tmp_path / "dense", 10**7, own).due(1e9) == []
+    store = Store(service.store_url)
+    assert stored(store, session_id) == {0: cloud(KEYFRAMES[0]), 1: None, 2: None}
+    store.close()

@@ -143,3 +143,53 @@ def test_a_file_that_is_gone_is_counted(tmp_path: Path):
     assert here.read(kept) is None
     assert here.dropped == {"damaged": 1}
     assert here.waiting == 0
+
+
+def test_what_a_killed_agent_had_in_hand_is_asked_about_until_the_service_has_said_what_it_was(tmp_path: Path):
+    own = opening()
+    before = shelf(tmp_path, own)
+    for seq in (1, 2, 3, 4, 5, 6):
+        before.take(seq, 10 * seq)
+    before.put(1, b"one")
+    before.put(6, b"six")
+    before.answered(6, False)
+    before.answered_without(2, True, "busy")
+    for _ in range(2):  # whoever is killed before an answer asks again
+        again = shelf(tmp_path, own)
+        assert [(kept.seq, kept.gone_ns) for kept in again.due(NEVER_S)] == [(1, None), (3, 30), (4, 40), (5, 50)]
+        assert (again.waiting, again.bytes) == (1, 3)
+    again.answered(3, True)
+    again.answered(4, False)
+    again.done(again.due(NEVER_S)[-1], "killed")
+    assert again.dropped == {"killed": 2}
+    assert seqs(again) == seqs(shelf(tmp_path, own)) == [1]
+    assert shelf(tmp_path, own).dropped == {}
+
+
+def test_a_run_of_before_stays_until_all_that_was_in_hand_is_known(tmp_path: Path):
+    old = opening()
+    shelf(tmp_path, old).take(7, 70)
+    here = shelf(tmp_path)
+    (kept,) = here.due(NEVER_S)
+    assert (kept.run_id, kept.gone_ns, here.opening(kept.run_id)) == (old.run_id, 70, old)
+    here.done(kept)
+    assert not (tmp_path / "dense" / old.run_id).exists()
+    assert here.dropped == {}
+
+
+def test_room_is_made_of_clouds_and_not_of_scans_that_have_none(tmp_path: Path):
+    own = opening()
+    shelf(tmp_path, own).take(1, 10)
+    again = shelf(tmp_path, own, max_bytes=100)
+    again.put(2, bytes(60), is_key=True)
+    again.put(3, bytes(60), is_key=True)
+    assert again.dropped == {"full": 1}
+    assert seqs(again) == [1, 3]
+
+
+def test_a_disk_that_takes_no_notes_costs_no_scan(tmp_path: Path):
+    (tmp_path / "dense").write_text("no folder")
+    here = shelf(tmp_path)
+    here.take(1, 10)
+    here.answered_without(1, True, "motion")
+    assert here.dropped == {"motion": 1}

@@ -1,4 +1,4 @@
-"""A map service in a few lines: the session protocol on port 0, with faults that tests ask for."""
+"""A map service in a few lines: the session protocol on a free port, with faults that tests ask for."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from enum import Enum, auto
 
 import grpc
 
+from splitslam.stack.process import free_port
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from splitslam.wire import types_pb2 as types
@@ -62,7 +63,7 @@ class FakeService(rpc.EdgeServiceServicer):
 
     def __post_init__(self) -> None:
         self._server: grpc.Server | None = None
-        self.port = 0
+        self.port = free_port()  # which no outgoing connection takes while the service is stopped
 
     # --- life -------------------------------------------------------------------------------------------------
 
@@ -74,10 +75,10 @@ class FakeService(rpc.EdgeServiceServicer):
         self.stop()
 
     def start(self) -> None:
-        """Opens the port (the same one again after `stop`)."""
+        """Opens the port, after `stop` again."""
         self._server = grpc.server(futures.ThreadPoolExecutor(8), options=[("grpc.so_reuseport", 0)])
         rpc.add_EdgeServiceServicer_to_server(self, self._server)
-        self.port = self._server.add_insecure_port(f"127.0.0.1:{self.port}")
+        self._server.add_insecure_port(f"127.0.0.1:{self.port}")
         self._server.start()
 
     def stop(self) -> None:

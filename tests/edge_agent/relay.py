@@ -36,7 +36,11 @@ class CountingRelay:
                 self.turned_away += 1
                 near.close()
                 continue
-            far = socket.create_connection(self._target)
+            try:
+                far = socket.create_connection(self._target)
+            except OSError:  # nobody is there
+                near.close()
+                continue
             self._sockets += [near, far]
             threading.Thread(target=self._pump, args=(near, far, "up"), daemon=True).start()
             threading.Thread(target=self._pump, args=(far, near, "down"), daemon=True).start()

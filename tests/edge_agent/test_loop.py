@@ -51,11 +51,11 @@ class FakeImu:
     def __init__(self, log: Log) -> None:
         self.log, self.T_map_odom, self.covariance, self.state = log, np.eye(4), np.eye(6), 2
 
-    def add_imu(self, samples: ImuSamples) -> OdomPoses:
-        self.log.append(f"imu {len(samples)}")
-        count = len(samples)
+    def add_imu(self, samples: ImuSamples, later: bool = False) -> OdomPoses:
+        self.log.append(f"imu {len(samples)}" + " later" * later)
+        count = 0 if later else len(samples)
         return OdomPoses(
-            samples.stamps_ns, np.zeros((count, 3)), np.tile([0, 0, 0, 1.0], (count, 1)), np.zeros((count, 3))
+            samples.stamps_ns[:count], np.zeros((count, 3)), np.tile([0, 0, 0, 1.0], (count, 1)), np.zeros((count, 3))
         )
 
     def add_wheels(self, samples: WheelSamples) -> None:
@@ -154,6 +154,22 @@ def test_the_uplink_s_limit_reaches_the_rate_control_and_a_backlog_only_by_the_c
     p, _ = parts()
     AgentLoop(p, lockstep).run(batches(1))
     assert (p.pipeline.rate.limit_kbps, p.pipeline.rate.backlog) == (70.0, not lockstep)
+
+
+def test_poses_of_the_samples_that_end_a_scan_come_with_those_after_it_once_those_of_its_start_are_there():
+    made, log = parts()
+    made.sequencer.push_imu = lambda samples, arrivals_ns: [  # type: ignore[method-assign]
+        imu_at(3 * SCAN_NS),
+        ScanPacket(scan(2)),
+        imu_at(3 * SCAN_NS + 1),
+        ScanPacket(scan(3)),
+    ]
+    loop = AgentLoop(made, lockstep=False)
+    for _ in range(2):
+        loop._take_batch([(0, imu_at(0))])
+    calls = [line for line in log if line.startswith(("imu", "scan"))]
+    assert calls[:4] == ["imu 1", "scan 1", "imu 1", "scan 2"], "none is there yet; none comes after it"
+    assert calls[4:] == ["imu 1 later", "scan 3", "imu 1", "scan 4"]
 
 
 @pytest.mark.parametrize("lockstep", [True, False])

@@ -12,7 +12,8 @@ from edge_agent import run_id
 from edge_agent.config import AgentConfig, UplinkConfig
 from edge_agent.metrics import EdgeMetrics
 from edge_agent.run_store import RunStore
-from edge_agent.uplink import SessionOverError, Uplink
+from edge_agent.supervisor import SessionOverError
+from edge_agent.uplink import Uplink
 from splitslam.config import validate
 from splitslam.errors import InputError
 from splitslam.wire import session_pb2 as pb

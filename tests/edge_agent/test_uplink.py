@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from edge_agent.uplink import Uplink
 from edge_agent.wire import Answer
 from splitslam.errors import InputError
 from splitslam.metrics import Family
-from splitslam.stack.process import wait_until
+from splitslam.stack.process import free_port, wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService, Fault
 from tests.edge_agent.relay import CountingRelay
@@ -129,8 +128,7 @@ def test_a_refusal_for_good_is_one_line_that_says_why():
 
 
 def test_an_unreachable_server_is_one_line_that_names_it():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    port = free_port()
     settings = FAST.model_copy(update={"connect_timeout_s": 0.5})
     with uplink_to(f"127.0.0.1:{port}", settings) as uplink, pytest.raises(InputError) as caught:
         uplink.wait_welcome()
@@ -140,8 +138,6 @@ def test_an_unreachable_server_is_one_line_that_names_it():
 
 def test_a_server_that_comes_up_late_is_waited_for():
     service = FakeService()
-    with service:
-        pass  # take a port and free it again
     with uplink_to(service.address) as uplink:
         time.sleep(0.3)
         with service:
@@ -202,7 +198,7 @@ def test_a_lost_answer_to_bye_still_ends_the_run():
     with service, uplink_to(service.address) as uplink:
         send_all(uplink, 3)
         service.finished = True
-        stream = uplink._stream
+        stream = uplink._shared.stream
         assert stream is not None
         stream._call.cancel()
         assert uplink.finish(3) is not None

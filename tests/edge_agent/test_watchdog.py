@@ -95,7 +95,9 @@ def test_waiting_for_somebody_else_is_not_being_stuck(listener: Listener):
                 assert pulse.busy_s == 0
                 listener.heard()
                 listener.until("WATCHDOG=1")
-            assert pulse.busy_s < WATCHDOG_S  # it begins anew
+                until_s = time.monotonic()
+            busy_s = pulse.busy_s
+            assert busy_s <= time.monotonic() - until_s, "it begins anew"
     finally:
         watchdog.close()
 

@@ -7,6 +7,7 @@ import pytest
 
 from edge_agent.features import _choice_kernels as kernels
 from edge_agent.features import _thinning_kernels as thinning
+from edge_agent.features.integer import FLAT
 from tests.features import naive
 from tests.features.test_kernels import columns_with_gaps
 
@@ -124,6 +125,38 @@ def test_groups_share_alike_and_what_small_ones_lack_goes_to_the_others(target: 
     counts = np.bincount(group, minlength=11)
     assert taken == chosen.sum() == min(target, 200)
     np.testing.assert_allclose(np.bincount(group[chosen], minlength=11), naive.shares(counts, target), atol=1)
+
+
+@pytest.mark.parametrize("target", [0, 9, 60, 100, 150, 1000])
+def test_flat_ones_that_face_all_ways_come_before_any_rough_one(target: int):
+    rng = np.random.default_rng(target)
+    ring_start = np.array([0, 90, 200, 300], np.int32)
+    column, points = columns_with_gaps(rng, ring_start), rng.normal(size=(300, 3)).astype(np.float32)
+    marks = rng.choice([0, 1, 2, FLAT], 300, p=[0.3, 0.1, 0.1, 0.5]).astype(np.uint8)
+    surfs = np.flatnonzero(rng.random(300) < 0.7).astype(np.int32)
+    flat, rough = surfs[marks[surfs] == FLAT], surfs[marks[surfs] != FLAT]
+    group, chosen = np.empty(len(flat), np.uint8), np.empty(len(flat), np.bool_)
+    kernels.facing(points, column, ring_start, flat, group)
+    kernels.spread_by_group(group, target, chosen)
+    others = np.zeros(len(rough), np.bool_)
+    kernels.spread(target - chosen.sum(), others)
+    expected = np.union1d(flat[chosen], rough[others])
+    kept = np.full(300, -9, np.int32)
+    count = kernels.facing_all_ways(points, column, ring_start, surfs, marks, target, kept)
+    np.testing.assert_array_equal(kept[:count], expected)
+    assert count == min(target, len(surfs))
+
+
+@pytest.mark.parametrize("target", [0, 5, 40, 1000])
+def test_what_is_chosen_of_a_list_is_picked_out_of_it_in_its_order(target: int):
+    rng = np.random.default_rng(target)
+    rank = rng.integers(0, 5, 200).astype(np.uint8)
+    corners, kept, chosen = np.flatnonzero(rank).astype(np.int32), np.empty(200, np.int32), np.empty(200, np.bool_)
+    chosen = chosen[: len(corners)]
+    kernels.sharpest(rank[corners], target, chosen)
+    np.testing.assert_array_equal(kept[: kernels.sharpest_of(rank, corners, target, kept)], corners[chosen])
+    kernels.spread(target, chosen)
+    np.testing.assert_array_equal(kept[: kernels.spread_of(corners, target, kept)], corners[chosen])
 
 
 def test_features_are_taken_with_what_the_scan_says_of_them():

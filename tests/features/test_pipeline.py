@@ -77,8 +77,9 @@ def test_bad_scans_are_dropped_before_they_reach_the_imu_node_and_use_no_seq():
     assert pipeline.process(ScanPacket(made_scan())).seq == 1
 
 
+@pytest.mark.parametrize("part", ["knots", "T_prev_lidar"])
 @pytest.mark.parametrize("translation_m", [np.nan, 1e9])
-def test_a_motion_beyond_all_bounds_costs_its_scan_and_nothing_else(translation_m: float):
+def test_a_motion_beyond_all_bounds_costs_its_scan_and_nothing_else(translation_m: float, part: str):
     imu = KnownMotion()
     pipeline = make_pipeline(imu)
     usual = imu.motion_over
@@ -86,7 +87,8 @@ def test_a_motion_beyond_all_bounds_costs_its_scan_and_nothing_else(translation_
     def lost(start_ns: int, end_ns: int) -> Motion:
         motion = usual(start_ns, end_ns)
         knots = replace(motion.knots, translation_m=np.full_like(motion.knots.translation_m, translation_m))
-        return replace(motion, knots=knots)
+        far = se3.compose(np.eye(3), np.full(3, translation_m))
+        return replace(motion, **({"knots": knots} if part == "knots" else {"T_prev_lidar": far}))
 
     imu.motion_over = lost
     with pytest.raises(DataError) as error:

@@ -72,6 +72,27 @@ def test_the_covariance_goes_as_the_derivatives_of_the_integration_say():
     np.testing.assert_allclose(got, got.T, atol=1e-12)
 
 
+def test_a_state_goes_on_as_the_imu_says_and_takes_its_covariance_along():
+    rng = np.random.default_rng(3)
+    stamps, gyro, accel = wobble(0.1)
+    poses, rest = np.array([some_pose(rng), some_pose(rng)]), rng.normal(0, 0.05, 10)
+    P, error, T_server_imu = some_covariance(rng, 22), rng.normal(size=22), some_pose(rng)
+    variances = rng.uniform(1e-8, 1e-4, 8)
+    states = np.empty((len(stamps), 15))
+    states[0] = np.concatenate([poses[0, :3, :3].reshape(-1), poses[0, :3, 3], rest[:3]])
+    integrate(stamps, gyro, accel, rest[3:9], G, states)
+    expected, carried = P.copy(), error[:, None].copy()
+    kernels.carry(stamps, states, G, variances[:3], 10_000_000, expected, carried)
+    kernels.disturb(expected, T_server_imu, variances[3:] * 0.1)
+    to_poses, to_rest = poses.copy(), rest.copy()
+    kernels.predict((stamps, gyro, accel), T_server_imu, G, variances, to_poses, to_rest, P, error)
+    np.testing.assert_allclose(to_poses[0], se3.compose(states[-1, :9].reshape(3, 3), states[-1, 9:12]), atol=1e-9)
+    np.testing.assert_allclose(to_poses[1], poses[1])
+    np.testing.assert_allclose(to_rest, [*states[-1, 12:], *rest[3:]], atol=1e-12)
+    np.testing.assert_allclose(P, expected, atol=1e-12)
+    np.testing.assert_allclose(error, carried[:, 0], atol=1e-12)
+
+
 def test_noise_of_gyro_and_accelerometer_shows_in_velocity_and_position():
     stamps, _, _ = wobble(1.0)
     level = np.concatenate([np.eye(3).reshape(-1), np.zeros(6)])

@@ -11,6 +11,7 @@ from edge_agent.imu.settings import ImuSettings
 from edge_agent.types import OdometryReply
 from splitslam import se3
 from splitslam.robot import robot_from_yaml
+from splitslam.scan import ImuSamples
 from tests.imu.made import SCAN_NS, START_NS, Drive, make_node, play
 
 
@@ -75,6 +76,36 @@ def test_the_pose_comes_at_imu_rate_and_never_steps():
     assert speed.max() < 1.5 * drive.speed_mps + 0.2
     assert node.jumps["odom_max_m"] < 0.002
     assert node.jumps["odom_max_deg"] < 0.03
+
+
+def test_how_fast_the_robot_turns_is_what_the_last_two_answers_say():
+    node, drive = make_node(), Drive(speed_mps=3.0)
+    for k, _, _, _ in play(node, drive, 5.0):
+        pass
+    before, after = (drive.T_odom_imu(0.1 * answered)[:3, :3] for answered in (k - 3, k - 2))
+    expected = se3.so3_log(before.T @ after) / 0.1
+    np.testing.assert_allclose(node._rate_imu(), expected, atol=0.1 * np.linalg.norm(expected))
+    assert np.linalg.norm(expected) > 0.1
+
+
+def test_poses_that_come_later_are_those_that_would_have_come_at_once():
+    drive, nodes = Drive(speed_mps=2.0), (make_node(), make_node())
+    stamps = START_NS + np.arange(200) * 5_000_000
+    values = [np.array(v) for v in zip(*(drive.imu((ns - START_NS) * 1e-9) for ns in stamps), strict=True)]
+    runs = [ImuSamples(stamps[a:b], values[0][a:b], values[1][a:b]) for a, b in ((0, 25), (25, 45), (45, 47), (47, 65))]
+    given, motions = [], []
+    for node, later in zip(nodes, (False, True), strict=True):
+        node.add_imu(runs[0])
+        node.motion_over(START_NS, START_NS + SCAN_NS)
+        poses = [node.add_imu(runs[1]), node.add_imu(runs[2], later)]
+        motion = node.motion_over(START_NS + SCAN_NS, START_NS + 2 * SCAN_NS)
+        given.append([*poses, node.add_imu(runs[3])])
+        assert len(given[-1][1].stamps_ns) == (0 if later else 2)
+        motions.append(motion.T_prev_lidar)
+    at_once, later = (np.concatenate([p.positions_m for p in poses]) for poses in given)
+    np.testing.assert_allclose(at_once, later, atol=1e-12)
+    np.testing.assert_array_equal(*motions)
+    assert len(later) == 40
 
 
 def test_without_answers_the_pose_goes_on():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitslam.registration import _kernels as kernels
+
 
 def plane_fit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean (3,), eigenvalues ascending (3,), eigenvectors in columns."""
@@ -38,7 +40,13 @@ def normal_equations(points, T, fits, noise):
 
 def equation_fits(rows):
     """What `normal_equations` takes of matched voxels' geometry (N, 16), see splitslam/registration/_kernels.py."""
-    return [(g[13], g[:3], g[3:6], *((g[7], g[6]) if g[9] == 1.0 else (g[8], g[7])), g[9] == 1.0) for g in rows]
+    return [equation_fit(g) for g in rows]
+
+
+def equation_fit(g):
+    plane = g[kernels.KIND] == kernels.PLANE
+    wide, thin = (kernels.L_MID, kernels.L_MIN) if plane else (kernels.L_MAX, kernels.L_MID)
+    return g[kernels.COUNT], g[:3], g[3:6], g[wide], g[thin], plane
 
 
 def descent(classes, T_start, prior, gains, settings, gate_m, again):
@@ -56,8 +64,8 @@ def descent(classes, T_start, prior, gains, settings, gate_m, again):
         for p, f in zip(points, fits, strict=True):
             d = p @ T[:3, :3].T + T[:3, 3] - f[:, :3]
             along = np.sum(d * f[:, 3:6], axis=1)
-            square = np.where(f[:, 9] == 1.0, along**2, np.sum(d**2, axis=1) - along**2)
-            near = (f[:, 9] != 0.0) & (square <= gate_m**2)
+            square = np.where(f[:, kernels.KIND] == kernels.PLANE, along**2, np.sum(d**2, axis=1) - along**2)
+            near = (f[:, kernels.KIND] != 0.0) & (square <= gate_m**2)
             part = normal_equations(p[near], T, equation_fits(f[near]), (s.point_sigma_m, s.robust_sigmas))
             H, b = H + part[0], b + part[1]
         A = H + prior
@@ -130,7 +138,7 @@ def room(rng: np.random.Generator, count: int, sigma_m: float = 0.0) -> tuple[np
 def closeness(voxels, points, poses, gate_m):
     """Point by point: the finest voxel with a fit, its distance, 1 - (d / gate)^2."""
     s, found = voxels.settings, {}
-    for i in np.flatnonzero(voxels.geometry[:, 9]):
+    for i in np.flatnonzero(voxels.geometry[:, kernels.KIND]):
         key = int(voxels.keys[i])
         index = [((key >> shift) & ((1 << 20) - 1)) - (1 << 19) for shift in (40, 20, 0)]
         found[(key >> 60, *index)] = voxels.geometry[i]
@@ -141,7 +149,7 @@ def closeness(voxels, points, poses, gate_m):
                 g = found.get((level, *np.floor(p / (s.voxel_m * 2**level)).astype(int)))
                 if g is not None:
                     d, axis = p - g[:3], g[3:6]
-                    distance = abs(axis @ d) if g[9] == 1 else np.linalg.norm(np.cross(axis, d))
+                    distance = abs(axis @ d) if g[kernels.KIND] == kernels.PLANE else np.linalg.norm(np.cross(axis, d))
                     scores[c] += max(0.0, 1.0 - (distance / gate_m) ** 2)
                     break
     return scores

@@ -11,7 +11,7 @@ from splitslam.registration import _equation_kernels as equations
 from splitslam.registration import _kernels as kernels
 from splitslam.registration.local_map import VoxelMap
 from splitslam.registration.settings import VoxelSettings
-from tests.map_pipeline.naive import normal_equations, room
+from tests.map_pipeline.naive import equation_fits, normal_equations, room
 from tests.map_pipeline.test_local_map import PLANES
 
 
@@ -36,13 +36,7 @@ def test_the_normal_equations_equal_their_naive_twin(kind):
     counted, inliers, _ = equations.linearise(matched, lidar, T, noise, H, b)
     assert counted == hit.sum() >= inliers > 0
     g = matched[hit]
-    n = g[:, kernels.COUNT]
-    plane = kind == kernels.PLANE
-    twins = [
-        (n[k], g[k, :3], g[k, 3:6], g[k, 7] if plane else g[k, 8], g[k, 6] if plane else g[k, 7], plane)
-        for k in range(len(g))
-    ]
-    expected_H, expected_b = normal_equations(lidar[hit], T, twins, noise)
+    expected_H, expected_b = normal_equations(lidar[hit], T, equation_fits(g), noise)
     np.testing.assert_allclose(np.triu(H), np.triu(expected_H), rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(b, expected_b, rtol=1e-4, atol=1e-2)
 

@@ -32,11 +32,11 @@ def test_every_voxel_of_every_level_holds_the_fit_of_exactly_its_points():
         index = np.array([(key >> shift & kernels.MASK) - kernels.BIAS for shift in (40, 20, 0)])
         inside = points[(voxel_index(points, size) == index).all(axis=1)]
         assert voxels.moments[i, 0] == len(inside) > 0
-        if voxels.geometry[i, 9] == 0:
+        if voxels.geometry[i, kernels.KIND] == 0:
             continue
         mean, values, vectors = plane_fit(inside)
         np.testing.assert_allclose(voxels.geometry[i, :3], mean, atol=1e-9)
-        np.testing.assert_allclose(voxels.geometry[i, 6:9], values, atol=1e-9)
+        np.testing.assert_allclose(voxels.geometry[i, kernels.L_MIN : kernels.L_MAX + 1], values, atol=1e-9)
         assert abs(vectors[:, 0] @ voxels.geometry[i, 3:6]) == pytest.approx(1, abs=1e-6)
         checked += 1
     assert checked > 100
@@ -54,7 +54,7 @@ def test_a_line_of_points_is_no_plane_and_a_plane_is_no_line():
     ):
         voxels = VoxelMap(VoxelSettings(levels=1), kind)
         voxels.insert(points, 0)
-        assert bool((voxels.geometry[:, 9] == kind).any()) is found
+        assert bool((voxels.geometry[:, kernels.KIND] == kind).any()) is found
 
 
 def test_growing_keeps_what_was_there():
@@ -100,7 +100,8 @@ def test_a_fit_is_made_when_a_point_asks_and_again_when_its_points_have_changed(
     hit = expected[:, kernels.KIND] != 0.0
     assert hit.sum() > 100
     np.testing.assert_array_equal(fits[:, kernels.KIND], expected[:, kernels.KIND])
-    np.testing.assert_allclose(fits[hit, 6:9], expected[hit, 6:9], atol=1e-9)
+    sizes = slice(kernels.L_MIN, kernels.L_MAX + 1)
+    np.testing.assert_allclose(fits[hit, sizes], expected[hit, sizes], atol=1e-9)
     np.testing.assert_array_equal(fits[hit, kernels.COUNT], expected[hit, kernels.COUNT])
     assert set(fits[hit, kernels.KEYFRAME]) >= {0.0, 1.0}
 
@@ -114,6 +115,26 @@ def test_eigen_symmetric_equals_lapack():
         kernels.eigen_symmetric(D, V)
         np.testing.assert_allclose(np.sort(np.diag(D)), np.linalg.eigvalsh(A), rtol=1e-6, atol=1e-12 * np.trace(A))
         np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, A, atol=1e-9 * np.trace(A))
+
+
+def homes(slots, level, indices):
+    return np.array([kernels.home_of(slots, np.int64(kernels.pack(level, *index))) for index in indices], np.int64)
+
+
+def test_voxels_that_share_one_of_twice_the_size_are_looked_for_side_by_side():
+    slots = np.full((1 << 12, 2), -1, np.int64)
+    for corner in np.array([[-4, 6, 0], [100, -38, 2], [-2, -2, -2]]):
+        of_one = homes(slots, 1, corner + np.indices((2, 2, 2)).reshape(3, -1).T)
+        np.testing.assert_array_equal(np.sort(of_one), of_one.min() + np.arange(8))
+        assert of_one.min() % 8 == 0
+
+
+def test_voxels_of_a_floor_fill_the_table_evenly():
+    slots = np.full((1 << 12, 2), -1, np.int64)
+    floor = np.array([(x, y, 0) for x in range(-22, 22, 2) for y in range(-22, 22, 2)])
+    used = len(np.unique(homes(slots, 0, floor) // 8))
+    at_random = 512 * (1 - np.exp(-len(floor) / 512))
+    assert used > 0.95 * at_random
 
 
 def voxels_of(voxels: VoxelMap) -> dict[int, tuple[np.ndarray, np.ndarray]]:
@@ -144,8 +165,8 @@ def test_what_is_taken_out_leaves_the_map_as_if_it_had_never_been_in():
     assert np.count_nonzero(voxels.keys != -1) == len(left)
     for key, (moments, geometry) in left.items():
         np.testing.assert_allclose(moments, right[key][0], atol=1e-9)
-        assert geometry[9] == right[key][1][9]
-        if geometry[9]:
+        assert geometry[kernels.KIND] == right[key][1][kernels.KIND]
+        if geometry[kernels.KIND]:
             np.testing.assert_allclose(geometry[6:9], right[key][1][6:9], atol=1e-9)
 
 

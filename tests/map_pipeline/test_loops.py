@@ -168,6 +168,26 @@ def test_a_row_of_pillars_is_known_to_fit_again_a_pillar_further_on():
     assert alone.rival(fit, UP, turned=True).share < 0.85
 
 
+class WholeScores(CloudPair):
+    """Looks at all points of every start."""
+
+    def _rough_score(self, source, T, distance_m, enough):
+        return self._score(source, T, distance_m)
+
+
+@pytest.mark.parametrize("pillars", [True, False])
+def test_a_few_points_of_a_start_tell_as_much_of_rivals_as_all_of_them(pillars: bool):
+    rng = np.random.default_rng(4)
+    clouds = corridor(rng, 20_000, pillars), corridor(rng, 8_000, pillars)
+    found, expected = (
+        kind(*clouds, LoopFitSettings()).rival(kind(*clouds, LoopFitSettings()).fit(np.eye(4), True), UP, turned=False)
+        for kind in (CloudPair, WholeScores)
+    )
+    assert expected.share > 0.85
+    assert found.share == expected.share
+    np.testing.assert_array_equal(found.T_target_source, expected.T_target_source)
+
+
 def test_the_covariance_of_a_fit_is_that_of_its_errors_to_a_factor():
     """Twenty draws of the same place: errors are neither far larger than the covariance says nor far smaller."""
     ratios = []

@@ -28,10 +28,11 @@ def test_spurious_information_is_what_wavering_axes_make(kind):
     equations.spurious(matched, lidar, T, noise, H)
     fits = []
     for g in matched[hit]:
-        normal, longest = (g[3:6], g[10:13]) if kind == kernels.PLANE else (None, g[3:6])
+        longest = g[kernels.LONGEST : kernels.LONGEST + 3]
+        normal, longest = (g[3:6], longest) if kind == kernels.PLANE else (None, g[3:6])
         if normal is None:
             normal = np.linalg.svd(longest[None])[2][1]
         axes = np.column_stack([normal, np.cross(longest, normal), longest])
-        fits.append((g[kernels.COUNT], g[:3], axes, g[6:9], kind == kernels.PLANE))
+        fits.append((g[kernels.COUNT], g[:3], axes, g[kernels.L_MIN : kernels.L_MAX + 1], kind == kernels.PLANE))
     drawn = spurious_information(lidar[hit], T, fits, noise, 400, rng)
     np.testing.assert_allclose(np.diag(H), np.diag(drawn), rtol=0.15)

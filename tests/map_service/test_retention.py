@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import event, insert, update
 
-from map_service import schema
+from map_service import catalog, schema
 from map_service.catalog import Catalog
 from map_service.config import RetentionConfig
 from map_service.housekeeping import DAY_S, Retention
@@ -77,3 +77,23 @@ def test_without_a_rule_nothing_is_ever_deleted(store: Store, config: RetentionC
     finished(store, "ancient", 10_000)
     assert Retention(store, config).run(NOW_S) == []
     assert left(store) == ["ancient"]
+
+
+def test_no_statement_has_to_delete_more_than_it_can_in_its_time(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gigabytes of whole scans in one took longer than a statement may: such a session stayed for ever, and with it all
+    that are deleted after it."""
+    finished(store, "large", 11)
+    key, clouds, deleted = Catalog(store).sessions()[0].id, 23, []
+    rows = [{"session": key, "keyframe": k, "cloud": bytes(10)} for k in range(clouds)]
+    with store.writing() as connection:
+        connection.execute(insert(schema.dense_clouds), rows)
+    monkeypatch.setitem(catalog._AT_ONCE, "dense_clouds", 10)
+
+    def noted(_connection, cursor, statement: str, *_: object) -> None:
+        if statement.startswith("DELETE FROM dense_clouds"):
+            deleted.append(cursor.rowcount)
+
+    event.listen(store.engine, "after_cursor_execute", noted)
+    assert len(Retention(store, RetentionConfig(finished_days=10)).run(NOW_S)) == 1
+    assert deleted == [10, 10, 3]
+    assert left(store) == []

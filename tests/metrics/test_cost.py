@@ -46,10 +46,6 @@ def on_the_edge() -> Callable[[], None]:
         metrics.sent("frame", 1350)
         for kind in ("odometry", "credit"):
             metrics.received(kind, 400)
-            metrics.buffer_frames.set(3)
-            metrics.buffer_bytes.set(4000)
-            metrics.spool_frames.set(3)
-            metrics.spool_bytes.set(4000)
         metrics.answered(0.03)
         metrics.state.set(2)
 

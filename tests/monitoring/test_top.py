@@ -8,6 +8,7 @@ import json
 import math
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
@@ -115,11 +116,22 @@ def test_what_cannot_be_read_is_a_row_that_says_why(serve: Serve) -> None:
     assert as_text(top.screen()).count("HTTP 503") == 2, "in its row, and once among what happened"
 
 
+@dataclass
+class Kept:
+    """What a robot still owes."""
+
+    frames: int
+    bytes: int
+
+    def __len__(self) -> int:
+        return self.frames
+
+
 def test_a_robot_and_a_replica_are_told_apart_and_shown_with_their_figures(serve: Serve) -> None:
     edge = EdgeMetrics()
     edge.state.set(2)
     edge.drop("buffer_full", 3)
-    edge.buffer_frames.set(70)
+    edge.kept_from(Kept(70, 190_000), None)
     service = ServiceMetrics(ServiceConfig())
     service.streams.set(4)
     top = Top((serve_registry(serve, edge.registry), serve_registry(serve, service.registry)))

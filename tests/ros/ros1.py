@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rosbags.rosbag1 import Reader, Writer
 
+from splitslam.stack.process import free_port
 from tests.debian import unpacked
 
 PACKAGES = ("python3-roslaunch", "python3-rospy", "python3-rosbag")
@@ -64,8 +65,7 @@ def plain_copy(bag: Path, copy: Path, seconds: float) -> int:
 def roscore(folder: Path) -> Iterator[Ros1]:
     """A roscore on a free port. folder: for its logs."""
     root = Path("/") if shutil.which("roscore") else unpacked(*PACKAGES, with_needs=True)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     uri = f"http://127.0.0.1:{port}"
     ours = os.environ | {"ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1", "ROS_HOME": str(folder / "ros")}
     ros = Ros1(root, uri, ours | _programs(root), ours)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 
@@ -21,12 +22,18 @@ Drive = Callable[..., list[LightRobot]]
 QUIET_GAP_S = 0.15  # between two answers at 10 Hz, of a machine with nothing else to do
 
 
+def over_before(robot: LightRobot, before_s: float) -> float:
+    """The longest time between two of its answers that came before that."""
+    times = [heard.at_s for heard in robot.heard if heard.at_s < before_s]
+    return max(b - a for a, b in itertools.pairwise(times))
+
+
 def check_gaps(robots: list[LightRobot], since_s: float, bar_s: float) -> None:
     """bar_s: of a quiet machine, which `make chaos` holds; here its order of size.
 
     On a busy machine, where undisturbed answers are late too, in proportion.
     """
-    undisturbed_s = max(robot.gap_s(until_s=since_s) for robot in robots)
+    undisturbed_s = max(over_before(robot, since_s) for robot in robots)
     allowed_s = bars.GAP_SLACK * bar_s * max(1.0, undisturbed_s / QUIET_GAP_S)
     assert [gap for robot in robots if (gap := robot.gap_s(since_s)) > allowed_s] == []
 

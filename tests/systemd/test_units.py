@@ -79,7 +79,7 @@ def test_a_drop_in_for_devices_opens_more_and_says_for_each_key_why(drop_in: str
 
 
 def test_a_bad_configuration_is_not_started_again_and_a_lost_session_is():
-    from edge_agent.uplink import SessionOverError
+    from edge_agent.supervisor import SessionOverError
     from splitslam.errors import InputError
 
     unit = read_unit(UNITS / AGENT)
