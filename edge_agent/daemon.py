@@ -114,6 +114,8 @@ class _Run:
         finished = done and self._say_bye()
         if finished and parts.clouds is not None:
             parts.clouds.finish(stop, parts.progress.dense)
+        if not finished and parts.uplink.kept:
+            parts.store.tell_kept(parts.uplink.kept, parts.uplink.all_on_disk)
         parts.uplink.close()
         if parts.outputs is not None:
             parts.outputs.publish(run_report(parts, stopped=not finished), parts.metrics.page())

@@ -80,6 +80,14 @@ class RunStore:
             folder = str(self._own.set_aside())
             _log.error("frames refused, set aside", extra=fields(run_id=self.run.value, frames=frames, folder=folder))
 
+    def tell_kept(self, frames: int, on_disk: bool) -> None:
+        """The agent stops before the service has said that it has all of them."""
+        said = fields(run_id=self.run.value, frames=frames)
+        if on_disk:
+            _log.warning("frames kept for the next start", extra=said)
+        else:
+            _log.error("frames not stored by the service, and not all of them on disk", extra=said)
+
     def close(self) -> None:
         """Everything stays for the next start."""
         if self.leftovers is not None:

@@ -21,7 +21,7 @@ from splitslam.wire import session_pb2 as pb
 
 _log = logging.getLogger(__name__)
 _STEADY_S = 1.0  # a stream that lived so long, or answered, was worth having: the next failure starts over
-_TELL_S = 10.0  # without a service from the start, before that is said
+_TELL_S = 5.0  # without a service, before that is said
 
 
 class SessionOverError(InputError):
@@ -49,6 +49,8 @@ class Supervisor:
         self._server, self._connector, self._settings, self._metrics = server, connector, settings, metrics
         self._meter, self._shared, self._dialogue = meter, shared, shared.dialogue
         self._resumes = len(shared.dialogue.outbox) > 0
+        self._down_since_s = time.monotonic()
+        self._told = False  # that it is down
         self._thread = threading.Thread(target=self._supervise, name="uplink", daemon=True)
 
     def start(self) -> None:
@@ -69,21 +71,21 @@ class Supervisor:
     def _keep_connected(self) -> None:
         s = self._settings
         backoff = Backoff(s.backoff_first_s, s.backoff_max_s)
-        failures, told = 0, False
-        down_since_s = time.monotonic()
+        failures = 0
         while True:
             state = self._one_stream(welcome_timeout_s(s.welcome_timeout_s, s.welcome_timeout_max_s, failures))
             now_s = time.monotonic()
             failures = 0 if state.welcomed else failures + 1
             if state.answered or (state.welcomed and now_s - state.opened_s >= _STEADY_S):
                 backoff.reset()
-                down_since_s = now_s
+                self._down_since_s = now_s
+            down_s = now_s - self._down_since_s
             with self._shared.lock:
                 if self._shared.over or self._dialogue.finished is not None:
                     return
                 first = self._dialogue.first_welcome is None and not self._resumes
                 limit_s = s.connect_timeout_s if first else s.reconnect_timeout_s
-                if limit_s is not None and now_s - down_since_s >= limit_s:
+                if limit_s is not None and down_s >= limit_s:
                     self._fail(f"expected a map service there, none answered within {limit_s:g} s ({state.ended})")
                     return
                 cause = state.ended.cause if state.ended else "unknown"
@@ -91,9 +93,9 @@ class Supervisor:
                 run_id = self._dialogue.hello.run_id
                 said = fields(run_id=run_id, server=self._server, cause=cause, detail=str(state.ended))
                 _log.info("stream broke", extra=said)
-                if first and not told and now_s - down_since_s >= _TELL_S:
-                    told = True
-                    _log.warning("no map service yet: frames are kept until it answers", extra=said)
+                if not self._told and down_s >= _TELL_S:
+                    self._told = True
+                    _log.warning("map service does not answer: frames are kept until it does", extra=said)
                 if state.other_replica or not state.welcomed:
                     self._dialogue.hello.attempt += 1
                 delay_s = max(backoff.next_s(), jittered(state.retry_after_s))
@@ -148,6 +150,10 @@ class Supervisor:
                 return
             dialogue, now_s = self._dialogue, time.monotonic()
             dialogue.receive(response, now_s)
+            if self._told and dialogue.stream.welcomed:
+                self._told = False
+                said = fields(run_id=dialogue.hello.run_id, server=self._server, after_s=now_s - self._down_since_s)
+                _log.warning("map service is there", extra=said)
             if dialogue.failure is not None:
                 self._fail(dialogue.failure)
             self._shared.changed.notify_all()

@@ -20,6 +20,7 @@ from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService
 from tests.edge_agent.test_spool import frame
 from tests.edge_agent.test_uplink import FAST, seqs
+from tests.logs.said import said
 
 
 @pytest.fixture
@@ -82,6 +83,18 @@ def of_before(folder: Path, clock: dict[str, float], frames: int) -> Agent:
     agent.die()
     clock["s"] += 31.0
     return agent
+
+
+def test_what_is_kept_is_said_and_what_is_not(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    agent = Agent(tmp_path)
+    agent.make(1, 3)
+    agent.store.tell_kept(agent.uplink.kept, agent.uplink.all_on_disk)
+    agent.store.tell_kept(3, on_disk=False)
+    run_id = agent.store.run.value
+    assert [line for line in said(caplog) if "frames" in line[1]] == [
+        ("frames kept for the next start", {"run_id": run_id, "frames": 3}),
+        ("frames not stored by the service, and not all of them on disk", {"run_id": run_id, "frames": 3}),
+    ]
 
 
 def test_an_agent_that_restarts_without_a_network_knows_how_far_its_run_has_come_and_replays_it_later(tmp_path: Path):

@@ -18,6 +18,7 @@ from splitslam.stack.process import free_port, wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService, Fault
 from tests.edge_agent.relay import CountingRelay
+from tests.logs.said import said
 
 FAST = UplinkConfig(watchdog_s=0.6, answer_timeout_s=1.0, connect_timeout_s=5.0, reconnect_timeout_s=10.0)
 
@@ -168,6 +169,25 @@ def uplink_to_started(service: FakeService) -> Iterator[Uplink]:
     service.start()
     with uplink_to(service.address) as uplink:
         yield uplink
+
+
+def test_an_outage_and_its_end_are_each_said_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("edge_agent.supervisor._TELL_S", 0.2)
+    service = FakeService()
+    with uplink_to_started(service) as uplink:
+        send_all(uplink, 7)
+        for first in (8, 15):
+            service.stop()
+            uplink.send(frame(first))
+            wait_until(lambda: "does not answer" in caplog.text, 10.0, "the outage is said")
+            time.sleep(0.3)  # it tries again
+            service.start()
+            assert uplink.wait_answered(first)
+            assert [line for line, _ in said(caplog) if line.startswith("map service")] == [
+                "map service does not answer: frames are kept until it does",
+                "map service is there",
+            ]
+            caplog.clear()
 
 
 def test_a_service_that_lost_durable_frames_ends_the_run_with_a_reason():
