@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from edge_agent.imu import _filter_kernels as kernels
 from edge_agent.imu.buffer import ImuWindow
+from edge_agent.imu.rest import AtRest
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.state import ImuNoise, NavigationState
 from edge_agent.imu.wheel_factor import WANDER_RTS, WheelFactors, WheelVelocity
@@ -53,6 +54,7 @@ class _Answer:
     noise: ImuNoise
     unobserved: Array
     wheel: WheelVelocity | None
+    rest: AtRest | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,12 +146,13 @@ class MotionFilter:
         noise: ImuNoise,
         unobserved: Array,
         wheel: WheelVelocity | None = None,
+        rest: AtRest | None = None,
     ) -> None:
-        """Next scan: its pose in the server's odometry frame, the IMU since the last, the wheels; updates `state`.
+        """Next scan: its pose in the server's odometry frame, the IMU since the last, wheels, rest; updates `state`.
 
         unobserved (A, 6): directions, right tangent of the IMU's pose, in which that pose is only a prediction.
         """
-        answer = _Answer(T_server_imu, window, noise, unobserved, wheel)
+        answer = _Answer(T_server_imu, window, noise, unobserved, wheel, rest)
         self._take(answer)
         if self._is_young:
             self._look_back([*self._answers, answer])
@@ -163,6 +166,8 @@ class MotionFilter:
         self._correct(lambda mean: self._pose_residual(mean, answer.T_server_imu, whiten))
         if (wheel := answer.wheel) is not None:
             self._correct(lambda mean: self._wheel_residual(mean, wheel))
+        if (rest := answer.rest) is not None:
+            self._correct(lambda mean: self._rest_residual(mean, rest))
 
     @property
     def _is_young(self) -> bool:
@@ -243,6 +248,14 @@ class MotionFilter:
         H = np.zeros((len(error), len(self._P)))
         H[:, columns] = derivatives / wheel.sigmas_mps[:, None]
         return error / wheel.sigmas_mps, H
+
+    def _rest_residual(self, mean: _Mean, rest: AtRest) -> Residual:
+        """What is left of gravity, as the accelerometer has it: of a robot in rest its tilt and bias are to blame."""
+        R = mean.T_odom_imu[:3, :3]
+        force = R @ (rest.accel_mps2 - mean.bias[3:])
+        H = np.zeros((3, len(self._P)))
+        H[:, _ROTATION], H[:, 12:15] = -se3.hat(force), -R
+        return (force - [0.0, 0.0, self.gravity_mps2]) / rest.sigma_mps2, H / rest.sigma_mps2
 
     def _read(self, stamp_ns: int) -> None:
         mean, P = self._mean.moved(self._error[: self._n]), self._P

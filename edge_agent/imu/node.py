@@ -18,6 +18,7 @@ from edge_agent.imu.filter import MotionFilter
 from edge_agent.imu.gaps import Gaps, carried_on
 from edge_agent.imu.levelling import MOVING_TILT_RAD, UNKNOWN_TILT_RAD, level, level_at
 from edge_agent.imu.output import ContinuousOutput, no_poses
+from edge_agent.imu.rest import Rest
 from edge_agent.imu.scan_motion import ScanMotion
 from edge_agent.imu.settings import ImuSettings
 from edge_agent.imu.state import ImuNoise, NavigationState
@@ -57,6 +58,7 @@ class ImuNode:
         self.state = INITIALISING
         self.covariance = np.eye(6)
         self.resets = 0
+        self._rest = Rest()
         self._anchor: NavigationState | None = None
         self._started = False  # the filter has its first scan
         self._blind = False  # no sample has come: nobody knows where down is
@@ -345,7 +347,10 @@ class ImuNode:
             window = self.buffer.window(anchor.stamp_ns, reply.stamp_ns)
             wheel = self._wheels_at_scan(window)
             noise = self._noise(anchor.stamp_ns, reply.stamp_ns)
-            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel)
+            if self.gaps.overlap(anchor.stamp_ns, reply.stamp_ns):
+                self._rest.over = True
+            rest = self._rest.seen(window)
+            self.filter.add(reply.stamp_ns, T_server_imu, window, noise, self._axes_imu(reply), wheel, rest)
             self._before = anchor.stamp_ns, anchor.T_odom_imu[:3, :3]
             self._after = reply.stamp_ns, self.filter.state.T_odom_imu[:3, :3]
             if self.filter.failed:

@@ -1,7 +1,8 @@
-"""A spinning LiDAR of any number of rings and columns, all rings of a column at once: for what depends on resolution.
+"""A LiDAR of any number of rings and columns, all rings of a column at once: for what depends on resolution or field.
 
-A column's rays are cast from where the sensor is at that column's time. It has a VLP-16's range noise and limits, and
-none of the faults of `splitslam.sim.faults`.
+A column's rays are cast from where the sensor is at that column's time. It spins, or, with a field less wide than a
+turn, sweeps it once a scan, from left to right. It has a VLP-16's range noise and limits, and none of the faults of
+`splitslam.sim.faults`.
 """
 
 from __future__ import annotations
@@ -25,10 +26,13 @@ _OTHERS_DEG = (-22.5, 22.5)  # OS1
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Rings and columns of one turn."""
+    """Rings and columns of one scan. field_deg: lowest and highest ring; None: as sensors of so many rings have it.
+    width_deg: of the field that the columns share."""
 
     rings: int
     columns: int
+    field_deg: tuple[float, float] | None = None
+    width_deg: float = 360.0
 
     def __str__(self) -> str:
         return f"{self.rings}x{self.columns}"
@@ -36,7 +40,18 @@ class Grid:
     @property
     def elevations_deg(self) -> NDArray[np.float64]:
         """(rings,), from below."""
-        return np.linspace(*_FIELD_DEG.get(self.rings, _OTHERS_DEG), self.rings)
+        return np.linspace(*(self.field_deg or _FIELD_DEG.get(self.rings, _OTHERS_DEG)), self.rings)
+
+    @property
+    def azimuths_rad(self) -> NDArray[np.float64]:
+        """(columns,), clockwise seen from above: a turn begins ahead, a narrower field at its left."""
+        left = 0.0 if self.width_deg == 360.0 else np.radians(self.width_deg) / 2
+        return left - np.radians(self.width_deg) * np.arange(self.columns) / self.columns
+
+    @property
+    def columns_a_turn(self) -> int:
+        """As many as a whole turn would have."""
+        return round(self.columns * 360.0 / self.width_deg)
 
 
 class GridLidar:
@@ -56,7 +71,7 @@ class GridLidar:
         grid, lidar = self._grid, self._spec.lidar
         turn_ns = round(1e9 / lidar.rate_hz)
         column_ns = np.arange(grid.columns) * turn_ns // grid.columns
-        azimuth = -2.0 * np.pi * np.arange(grid.columns) / grid.columns  # clockwise, seen from above
+        azimuth = grid.azimuths_rad
         column, ring = (a.ravel() for a in np.meshgrid(np.arange(grid.columns), np.arange(grid.rings), indexing="ij"))
         e = np.radians(grid.elevations_deg)[ring]
         along = np.stack([np.cos(e) * np.cos(azimuth[column]), np.cos(e) * np.sin(azimuth[column]), np.sin(e)], axis=1)

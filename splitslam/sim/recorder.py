@@ -64,8 +64,7 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
 
     _write_bag(out.bag_path, spec, trajectory, lambda make: (SCAN_TOPIC, messages.SCAN, make.scans(spec, watched())))
     write_tum(out.truth_path, truth(trajectory, spec.start_ns, np.array(scans_ns, np.int64)))
-    dense_ns = np.arange(int(spec.duration_s * 1e9 / _DENSE_NS) + 1) * _DENSE_NS
-    write_tum(out.imu_truth_path, truth(trajectory, spec.start_ns, dense_ns))
+    _write_dense_truth(out.imu_truth_path, spec, trajectory)
     out.robot_path.write_text(robot_file(spec))
     return out
 
@@ -73,12 +72,12 @@ def simulate(spec: DriveSpec, out_dir: Path, progress: Callable[[int, int], None
 def simulate_grid(
     spec: DriveSpec, grid: Grid, out_dir: Path, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Path, Path]:
-    """The drive with another LiDAR: writes NAME.bag and NAME.yaml, returns both; see simulate."""
+    """The drive with another LiDAR: writes NAME.bag, .yaml and .imu_truth.tum, returns the first two; see simulate."""
     world = make_world(spec.world)
     trajectory = drive_trajectory(spec, world.place)
     lidar = GridLidar(grid, spec, world, trajectory)
     out_dir.mkdir(parents=True, exist_ok=True)
-    bag_path, robot_path = (out_dir / f"{spec.name}.{kind}" for kind in ("bag", "yaml"))
+    bag_path, robot_path, truth_path = (out_dir / f"{spec.name}.{kind}" for kind in ("bag", "yaml", "imu_truth.tum"))
 
     def watched() -> Iterator[Scan]:
         for done, sweep in enumerate(lidar.sweeps(), start=1):
@@ -87,8 +86,14 @@ def simulate_grid(
                 progress(done, lidar.scans)
 
     robot_path.write_text(robot_file(spec, grid))
+    _write_dense_truth(truth_path, spec, trajectory)
     _write_bag(bag_path, spec, trajectory, lambda make: (CLOUD_TOPIC, messages.CLOUD, make.clouds(watched())))
     return bag_path, robot_path
+
+
+def _write_dense_truth(path: Path, spec: DriveSpec, trajectory: Trajectory) -> None:
+    stamps_ns = np.arange(int(spec.duration_s * 1e9 / _DENSE_NS) + 1) * _DENSE_NS
+    write_tum(path, truth(trajectory, spec.start_ns, stamps_ns))
 
 
 def robot_file(spec: DriveSpec, grid: Grid | None = None) -> str:
@@ -98,7 +103,10 @@ def robot_file(spec: DriveSpec, grid: Grid | None = None) -> str:
         sensor = {"model": "vlp16", "topic": SCAN_TOPIC, "stamp": "start", "rings": 16, "columns": 1800}
     else:
         sensor = {"model": "generic", "topic": CLOUD_TOPIC, "stamp": "start", "rings": grid.rings}
-        sensor |= {"columns": grid.columns, "beam_elevations_deg": [round(e, 6) for e in grid.elevations_deg.tolist()]}
+        sensor |= {
+            "columns": grid.columns_a_turn,
+            "beam_elevations_deg": [round(e, 6) for e in grid.elevations_deg.tolist()],
+        }
     robot = {
         "robot": {"id": spec.name},
         "lidar": sensor | {"rate_hz": lidar.rate_hz, "min_range_m": 0.8, "max_range_m": lidar.max_range_m},

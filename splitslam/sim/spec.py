@@ -32,12 +32,23 @@ class SpeedChange:
 
 
 @dataclass(frozen=True)
+class Climb:
+    """From `at_s` on the sensor rises smoothly by `by_m` (sinks, if negative) within `over_s`, beside what the ground
+    does."""
+
+    at_s: float
+    by_m: float
+    over_s: float
+
+
+@dataclass(frozen=True)
 class PathSpec:
     """How the sensor moves: along a smooth curve through the waypoints, over the world's ground.
 
     stand_s: standing still at first. accel_s: from rest to `speed_mps`; both 0: the drive starts in motion.
     speed_changes: what happens after that. gait: strength of the walker's bob, sway and nod; 0 is a vehicle, 1 a
-    person. dive_deg_per_mps2: how far a vehicle's nose dips when it brakes.
+    person. dive_deg_per_mps2: how far a vehicle's nose dips when it brakes. leans: the share of the ground's slope that
+    the sensor takes on; 0 is carried level. climbs: of what flies.
     """
 
     waypoints_m: tuple[tuple[float, float], ...]
@@ -50,6 +61,8 @@ class PathSpec:
     gait: float = 1.0
     dive_deg_per_mps2: float = 0.0
     head_turns: tuple[HeadTurn, ...] = ()
+    leans: float = 1.0
+    climbs: tuple[Climb, ...] = ()
 
     def __post_init__(self) -> None:
         if self.stand_s > 0.0 and self.accel_s <= 0.0:

@@ -120,13 +120,13 @@ def _spline(path: PathSpec, place: Place, duration_s: float, back_m: float) -> B
     step = 2 * np.pi * 1.8 * t  # two steps are one stride
     sway = path.gait * going
     xy = xy + (0.012 * sway * np.sin(step / 2))[:, None] * side
-    z = place.ground_m(xy[:, 0], xy[:, 1]) + path.height_m + 0.018 * sway * np.cos(step)
+    z = place.ground_m(xy[:, 0], xy[:, 1]) + path.height_m + _climbed(path, t) + 0.018 * sway * np.cos(step)
     yaw = heading + _head_turns(path, t) + np.radians(1.2) * sway * np.sin(step / 2 + 0.7)
     slope_m = 0.5
     ahead, left = xy + slope_m * tangent, xy + slope_m * side
     ground = place.ground_m(xy[:, 0], xy[:, 1])
-    pitch = -np.arctan((place.ground_m(ahead[:, 0], ahead[:, 1]) - ground) / slope_m)
-    roll = np.arctan((place.ground_m(left[:, 0], left[:, 1]) - ground) / slope_m)
+    pitch = -path.leans * np.arctan((place.ground_m(ahead[:, 0], ahead[:, 1]) - ground) / slope_m)
+    roll = path.leans * np.arctan((place.ground_m(left[:, 0], left[:, 1]) - ground) / slope_m)
     pitch = pitch - np.radians(path.dive_deg_per_mps2) * thrust
     pitch = pitch + np.radians(0.8) * sway * np.sin(step + 0.4)
     roll = roll + np.radians(1.0) * sway * np.sin(step / 2 + 1.9)
@@ -158,6 +158,15 @@ def _head_turns(path: PathSpec, t: Array) -> Array:
         u = np.clip((t - turn.at_s) / turn.over_s, 0.0, 1.0)
         yaw += np.radians(turn.yaw_deg) * 64.0 * (u * (1.0 - u)) ** 3
     return yaw
+
+
+def _climbed(path: PathSpec, t: Array) -> Array:
+    """How far what flies has risen, m."""
+    z = np.zeros_like(t)
+    for climb in path.climbs:
+        u = np.clip((t - climb.at_s) / climb.over_s, 0.0, 1.0)
+        z += climb.by_m * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    return z
 
 
 def _arc_length_curve(path: PathSpec):

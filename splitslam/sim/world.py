@@ -15,7 +15,9 @@ from splitslam.errors import InputError
 from splitslam.sim.place import Place
 from splitslam.sim.places.campus import build_campus
 from splitslam.sim.places.corridor import build_corridor
+from splitslam.sim.places.house import build_house
 from splitslam.sim.places.park import build_park
+from splitslam.sim.places.plain import build_plain
 from splitslam.sim.places.quarter import build_quarter
 from splitslam.sim.places.street import build_street
 from splitslam.sim.places.twins import build_twins
@@ -26,7 +28,9 @@ Array = NDArray[np.float64]
 WORLDS: dict[str, Callable[[int], Place]] = {
     "campus": build_campus,
     "corridor": build_corridor,
+    "house": build_house,
     "park": build_park,
+    "plain": build_plain,
     "quarter": build_quarter,
     "street": build_street,
     "twins": build_twins,
