@@ -84,7 +84,7 @@ def test_how_fast_the_robot_turns_is_what_the_last_two_answers_say():
         pass
     before, after = (drive.T_odom_imu(0.1 * answered)[:3, :3] for answered in (k - 3, k - 2))
     expected = se3.so3_log(before.T @ after) / 0.1
-    np.testing.assert_allclose(node._rate_imu(), expected, atol=0.1 * np.linalg.norm(expected))
+    np.testing.assert_allclose(node._rate_imu(), expected, atol=0.1 * float(np.linalg.norm(expected)))
     assert np.linalg.norm(expected) > 0.1
 
 
