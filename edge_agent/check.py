@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.odometry.outage import LOST
 from edge_agent.sources import Event
 from edge_agent.wire import Answer
 from splitslam import se3
@@ -33,7 +34,7 @@ _log = logging.getLogger(__name__)
 _LOOK_AT_S = (10.0, 20.0, 40.0, 80.0)  # of answered motion; later ones only while something is not known yet
 _MOST_SAMPLES, _MOST_SCANS = 240_000, 5000  # three times what the last look needs, at 1 kHz
 _NAME = "check"
-_LOST = 6
+_CHECKED = "a robot file in which `splitslam check` finds no problem, a place with structure"
 
 
 @dataclass(slots=True)
@@ -43,6 +44,7 @@ class _Heard:
     scans_ns: list[int] = field(default_factory=list)
     fixes_ns: list[int] = field(default_factory=list)
     samples: list[ImuSamples] = field(default_factory=list)
+    sample_count: int = 0  # in all of them: looked at with each scan, and there are hundreds
     poses_ns: list[int] = field(default_factory=list)
     poses: list[np.ndarray] = field(default_factory=list)
     lost: int = 0
@@ -50,7 +52,7 @@ class _Heard:
     @property
     def is_much(self) -> bool:
         """More than any look needs."""
-        return sum(map(len, self.samples)) > _MOST_SAMPLES or max(len(self.scans_ns), len(self.fixes_ns)) > _MOST_SCANS
+        return self.sample_count > _MOST_SAMPLES or max(len(self.scans_ns), len(self.fixes_ns)) > _MOST_SCANS
 
     def copy(self) -> _Heard:
         return replace(
@@ -86,6 +88,7 @@ class LiveCheck:
             return
         if isinstance(event, ImuSamples):
             self._heard.samples.append(event)
+            self._heard.sample_count += len(event)
             if len(self._heard.samples) > 1000:
                 self._heard.samples = [ImuSamples.joined(self._heard.samples)]
                 self._begin_anew()
@@ -109,7 +112,7 @@ class LiveCheck:
             return
         heard.poses_ns.append(reply.stamp_ns)
         heard.poses.append(se3.inv(reply.T_map_odom) @ reply.T_map_lidar)  # corrections of the map are no motion
-        heard.lost += reply.state == _LOST
+        heard.lost += reply.state == LOST
         if (reply.stamp_ns - heard.poses_ns[0]) * 1e-9 >= self._next_s and not self._busy():
             self._next_s = next(self._looks, None)
             self._looking = threading.Thread(target=self._look, args=(heard.copy(),), name=_NAME, daemon=True)
@@ -140,7 +143,7 @@ class LiveCheck:
         imu = self._robot.imu
         if imu is None:
             return found, None
-        if sum(map(len, heard.samples)) < 20:
+        if heard.sample_count < 20:
             return [*found, Finding("imu", "fewer than 20 samples so far", f"{imu.rate_hz:g} a second")], None
         came = ImuSamples.joined(heard.samples)
         found += streams.findings("imu", streams.statistics(came.stamps_ns), imu.rate_hz)
@@ -151,10 +154,18 @@ class LiveCheck:
         motion = None
         if heard.lost > 0.05 * len(heard.poses):
             found.append(note("T_lidar_imu", f"not tested: the map service was lost in {heard.lost} scans"))
+            self._tell_lost(heard)
         elif len(heard.poses) >= 3:
             motion = LidarMotion(np.array(heard.poses_ns), np.array(heard.poses))
         verdict = judge(self._robot, motion, thinned(samples), lidar.period_s)
         return [*found, *map(_without_figures, verdict.findings)], verdict
+
+    def _tell_lost(self, heard: _Heard) -> None:
+        """A mounting that is half a turn off loses the robot before it can be measured: no finding, but no silence."""
+        if "lost" not in self._told:
+            self._told.add("lost")
+            detail = f"the map service was lost in {heard.lost} of {len(heard.poses)} scans"
+            _log.warning("robot lost", extra=fields(detail=detail, expected=_CHECKED))
 
     def _take(self, findings: list[Finding], verdict: ImuVerdict | None) -> None:
         self.findings = findings

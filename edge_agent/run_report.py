@@ -25,6 +25,7 @@ def run_report(parts: RunParts, stopped: bool) -> dict[str, Any]:
         **going_on,
         "stopped": stopped,
         "scans": {"read": read, "sent": tally.sent, "mapped": tally.mapped, "dropped": read - tally.mapped},
+        "lost_scans": tally.lost,
         "passed_scans": parts.reader.passed_scans,  # before the agent listened
         "recording_s": recording_s,
         **tally.times(),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from edge_agent.metrics import EdgeMetrics
+from edge_agent.odometry.outage import LOST
 from edge_agent.rate import RateControl
 from edge_agent.sources import Counts
 from edge_agent.tcp_meter import TcpBytes
@@ -32,6 +33,7 @@ class Tally:
     sent: int = 0
     payload_bytes: int = 0
     mapped: int = 0
+    lost: int = 0  # of them, answered in the state lost: the pose is a guess
     rejected: int = 0
     replayed: int = 0
     corrections_by_cause: Counter[str] = field(default_factory=Counter)
@@ -72,6 +74,7 @@ class Tally:
             self.replayed += 1
             return
         self.mapped += 1
+        self.lost += answer.reply.state == LOST
         if answer.correction_m is not None:
             self.correction(answer.correction_cause, answer.correction_m)
 

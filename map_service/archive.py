@@ -69,7 +69,11 @@ def backup(store: Store, path: Path) -> Archived:
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no directory {path.absolute().parent}")
     part = path.with_name(path.name + ".part")
-    part.unlink(missing_ok=True)
+    try:
+        part.unlink(missing_ok=True)
+        part.touch()
+    except OSError as error:
+        raise InputError(f"{path}: expected a folder that can be written ({error.strerror})") from error
     try:
         with store.reading() as source, _file(part) as target:
             version = migrations.version(source)

@@ -6,13 +6,19 @@ import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from map_service.config import ServiceConfig
+from splitslam.errors import InputError
 
 _ASKED = "splitslam.v1.EdgeService"
 _EVERYWHERE = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}  # what a server listens on, and where it can be reached
 
 
 def problem_with(config: ServiceConfig, server: str | None = None, timeout_s: float = 2.0) -> str | None:
-    """Why the service at `server` takes no robots now, or None. server: None: the one with this configuration."""
+    """Why the service at `server` takes no robots now, or None. server: None: the one with this configuration.
+
+    Raises InputError when that one's configuration leaves no way to ask it.
+    """
+    if server is None and config.health_socket is None and config.tls.cert is not None:
+        raise InputError("health_socket: expected a Unix socket's path: with tls nobody answers elsewhere")
     address = server or (f"unix:{config.health_socket.absolute()}" if config.health_socket else _own(config.listen))
     try:
         with grpc.insecure_channel(address) as channel:

@@ -27,6 +27,8 @@ def call(app: typer.Typer, name: str) -> Any:
     except InputError as error:
         end(str(error), error.exit_code)
     except _UsageError as error:
+        if not error.format_message():  # a program without arguments, whose help is on the screen
+            sys.exit(InputError.exit_code)
         context = getattr(error, "ctx", None)
         command = context.command_path if context else name
         end(f"{command}: {error.format_message().rstrip('.')} (see `{command} --help`)", InputError.exit_code)

@@ -21,6 +21,7 @@ _LATE_MEANS = 3  # a motion has begun before it shows
 _KEPT_MEANS = 50  # a bias may wander in a long rest
 _SIGMAS = 6.0
 _MOST_MPS2, _MOST_RADPS = 0.1, 0.01  # change of a mean in rest: a hand's
+_TURNING_RADPS = 0.02  # more than a gyroscope's bias: in a steady curve nothing changes either, but v * w is no gravity
 _SHAKEN_MPS2 = 0.5  # standard deviation of samples
 _LEAST_MPS2, _LEAST_RADPS = 5e-3, 1e-4  # scatter of means, where samples are coarse
 _INEXACT_MPS2 = 0.02  # of a mean: 2 mrad; engines shake, hands sway
@@ -54,6 +55,7 @@ class Rest:
             self.over = turned > _MOST_RADPS or moved > _MOST_MPS2
             if len(self._gyro) >= _LEAST_MEANS:
                 self.over |= turned > _SIGMAS * gyro_sigma or moved > _SIGMAS * accel_sigma
+        self.over |= bool(np.linalg.norm(gyro) > _TURNING_RADPS)
         self.over |= bool(np.linalg.norm(window.accel_mps2.std(axis=0)) > _SHAKEN_MPS2)
         self._gyro.append(gyro)
         self._accel.append(accel)

@@ -18,7 +18,8 @@ def all_within(values, most):
 @njit(cache=True, nogil=True)
 def goes_on(stamps_ns, longest_ns):
     """Does time rise from each of stamps_ns (M,) to the next, by at most longest_ns?"""
+    wrong = 0
     for k in range(1, len(stamps_ns)):
-        if not 0 < stamps_ns[k] - stamps_ns[k - 1] <= longest_ns:
-            return False
-    return True
+        step_ns = stamps_ns[k] - stamps_ns[k - 1]
+        wrong += step_ns <= 0 or step_ns > longest_ns
+    return wrong == 0

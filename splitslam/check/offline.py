@@ -79,7 +79,7 @@ def check_recording(
 
     Raises InputError when recording or robot file cannot be used at all; what can be mended is a finding.
     """
-    robot, found = repaired(path, load_robot(robot_path))
+    robot, found = repaired(path, load_robot(robot_path, placed_elsewhere=True))
     with open_recording(path, robot) as recording:
         heard, probes = _Heard(), (LayoutProbe(robot.lidar), PointTimeProbe())
         odometry = LidarOdometry(robot, recording.beam_elevations_rad)

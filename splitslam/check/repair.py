@@ -16,6 +16,7 @@ from splitslam.errors import DataError, InputError
 from splitslam.robot import AUTO, Lidar, Robot
 
 _FIRST_SCANS = 5
+_THERE = "there are: "
 
 
 def repaired(path: Path, robot: Robot) -> tuple[Robot, list[Finding]]:
@@ -118,10 +119,11 @@ def _what_comes(bag: Bag, topic: str) -> tuple[str | None, int | None]:
 
 
 def as_finding(error: InputError, path: Path) -> Finding:
-    """`recording: key: what; expected this` -> a finding."""
+    """`recording: key: what; expected this` or `...; there are: these` -> a finding."""
     text = str(error).removeprefix(f"{path}: ")
     where, _, rest = text.partition(": ")
     what, _, expected = rest.partition("; expected ")
     if not expected:
-        what, _, expected = rest.partition("; ")
+        what, _, expected = rest.replace(", expected ", "; ", 1).partition("; ")
+        expected = f"one of {expected[len(_THERE) :]}" if expected.startswith(_THERE) else expected
     return Finding(where, what, expected)

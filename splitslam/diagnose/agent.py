@@ -10,6 +10,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,7 @@ def _about(state_dir: Path) -> dict[str, Any]:
 
 def _config_of(about: Mapping[str, Any]) -> Path | None:
     words: Sequence[str] = about.get("command", [])
-    for word, value in zip(words, [*words[1:], ""], strict=True):
+    for word, value in pairwise([*words, ""]):
         if word == "--config" and value:
             return Path(about.get("folder", "/")) / value
         if word.startswith("--config="):

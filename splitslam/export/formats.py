@@ -64,7 +64,11 @@ def check_modules(modules: tuple[str, ...]) -> None:
 
 
 def companion(path: Path, format_: Format) -> Path | None:
-    """The second file of a format that has two: KITTI's times, the grid's image."""
+    """The second file of a format that has two: KITTI's times, the grid's image. InputError when both would be one."""
     if format_.name == "kitti":
         return path.with_name(f"{path.stem}.times.txt")
-    return path.with_suffix(".pgm") if format_.kind is Kind.GRID else None
+    if format_.kind is not Kind.GRID:
+        return None
+    if path.suffix == ".pgm":
+        raise InputError(f"--out {path}: expected the name of the grid's YAML; its image gets the same with .pgm")
+    return path.with_suffix(".pgm")

@@ -38,6 +38,7 @@ def assemble(
     cpu_ms = {**edge["cpu_ms_per_scan"], "map": statistics["cpu_ms"] / mapped}
     return {
         "scans": edge["scans"],
+        "lost_scans": edge.get("lost_scans"),  # an agent of before does not count them
         "path_m": trajectory.path_m,
         "keyframes": session.keyframes,
         "loops": session.loops,

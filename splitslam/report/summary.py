@@ -51,6 +51,9 @@ def show(report: dict[str, Any], out: Path) -> None:
     console.print(table)
     for reason, count in sorted(report["dropped_by_reason"].items()):
         console.print(f"  dropped: {count} x {reason}", style="yellow", markup=False)
+    if lost := report["lost_scans"]:
+        hint = "`splitslam check` tells whether the robot file is wrong"
+        console.print(f"  lost in {lost} scans: {hint}", style="yellow", markup=False)
     console.print(f"  {out / 'report.html'}", markup=False)
 
 

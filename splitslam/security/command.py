@@ -137,8 +137,11 @@ def _authority(folder: Path) -> Authority:
 
 
 def _identity(authority: Authority, role: Role, name: str = "", site: str = "") -> Identity:
-    from splitslam.security.identity import Identity
+    from splitslam.security.identity import NAME, Identity
 
+    for option, value in (("NAME", name), ("--site", site)):
+        if value and not NAME.fullmatch(value):
+            raise InputError(f"{option} {value!r}: expected 1 to 128 letters, digits, . _ -, a letter or digit first")
     try:
         return Identity(authority.fleet, role, name, site)
     except ValueError as error:

@@ -62,6 +62,20 @@ def test_yard1_has_no_problem_and_its_row_of_table_i(shared_data: Path) -> None:
     assert not _keys(answer) - documented - {"lidar", "imu", "gnss"}
 
 
+def test_a_robot_file_without_the_mounting_is_told_what_to_write(shared_data: Path, tmp_path: Path) -> None:
+    recording = shared_data / "yard1" / "yard1.bag"
+    data = yaml.safe_load(recording.with_suffix(".yaml").read_text())
+    T_lidar_imu = np.array(data.pop("T_lidar_imu"))
+    robot = tmp_path / "robot.yaml"
+    robot.write_text(yaml.safe_dump(data))
+    code, answer, err = check(recording, robot, "--seconds", "20")
+    assert (code, err) == (1, "")
+    assert answer["findings"][0]["what"] == "not given"
+    found = np.array(answer["T_lidar_imu"]["rotation"])
+    off_rad = np.linalg.norm(se3.so3_log(found.T @ T_lidar_imu[:3, :3]))
+    assert np.degrees(off_rad) < 3 * tolerances.CHECK_ROTATION_DEG
+
+
 def test_point_times_that_run_backwards_are_the_only_problem_of_a_car_with_a_10_hz_imu(shared_data: Path) -> None:
     recording = shared_data / "kitti_0005" / "kitti_0005_ring16.bag"
     code, answer, _ = check(recording, recording.with_suffix(".yaml"))

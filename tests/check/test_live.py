@@ -139,10 +139,13 @@ def test_a_wrong_mounting_is_found_and_the_run_sends_people_to_the_command() -> 
     assert "splitslam check" in finding.expected
 
 
-def test_a_service_that_is_lost_tests_no_mounting() -> None:
+def test_a_service_that_is_lost_tests_no_mounting_and_the_log_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
     check = answered(made.robot(made.turned(2, 40.0)), made.samples(made.WALK, SECONDS), state=6)
     assert problems(check.findings) == []
     assert "lost" in check.findings[0].what
+    ((event, fields),) = said(caplog)
+    assert event == "robot lost"
+    assert "splitslam check" in fields["expected"]
 
 
 def test_without_answers_stamps_units_and_gravity_are_still_looked_at() -> None:

@@ -46,6 +46,7 @@ def test_a_missing_topic_is_a_problem_and_the_other_of_its_type_is_used(recordin
     (finding,) = problems(findings)
     assert finding.where == "imu.topic"
     assert finding.what == "no topic /imu"
+    assert finding.expected.startswith("one of /gps/fix (")
     assert "/sensors/imu (sensor_msgs/Imu)" in finding.expected
     assert robot.imu is not None
     assert robot.imu.topic == "/sensors/imu"

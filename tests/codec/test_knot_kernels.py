@@ -45,6 +45,27 @@ def test_a_constant_rate_leaves_nothing_after_the_second_knot():
     assert np.abs(residuals[12:]).max() <= 1
 
 
+@pytest.mark.parametrize("even", [True, False])
+def test_knots_that_settle_are_those_that_their_residuals_bring_back(even: bool):
+    rng = np.random.default_rng(3)
+    times = np.linspace(0, 99_000_000, 33).astype(np.int64)
+    knots = rng.normal(0, 0.01, (33, 3)), rng.normal(0, 0.1, (33, 3))
+    values, residuals = np.empty((33, 6), np.int64), np.empty(6 * 33, np.int64)
+    _knot_kernels.to_units(*knots, values)
+    if even:
+        _knot_kernels.halve(values, residuals, False)
+    else:
+        _knot_kernels.continue_rate(times, values, residuals, False)
+    expected = np.empty((33, 3)), np.empty((33, 3))
+    _knot_kernels.from_units(values, *expected)
+    settled = knots[0].copy(), knots[1].copy()
+    assert _knot_kernels.settle(times, even, *settled)
+    np.testing.assert_array_equal(settled, expected)
+    assert np.abs(settled[0] - knots[0]).max() > 1e-6, "each by up to half a residual"
+    knots[1][5, 1] = np.nan
+    assert not _knot_kernels.settle(times, even, *knots)
+
+
 def test_units_of_knots_come_back_and_those_beyond_all_bounds_do_not():
     rng = np.random.default_rng(0)
     rotation, translation_m = rng.normal(0, 0.3, (7, 3)), rng.normal(0, 2, (7, 3))

@@ -39,6 +39,7 @@ def edge_json() -> dict:
         "session_id": "robot/run",
         "run_id": "run",
         "scans": {"read": SCANS + 1, "sent": SCANS, "mapped": SCANS, "dropped": 1},
+        "lost_scans": 3,
         "dropped_by_reason": {"nan": 1},
         "check": [],
         "recording_s": 1.2,

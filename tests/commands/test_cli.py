@@ -95,6 +95,13 @@ def test_eval_prints_the_keys_of_the_conventions(tmp_path: Path):
     assert "run too short" in out
 
 
+def test_a_program_without_arguments_shows_its_help_and_no_mistake():
+    exit_code, out, err = finished()
+    assert exit_code == 2
+    assert "Usage: splitslam" in out + err
+    assert "(see `splitslam --help`)" not in err
+
+
 def run_arguments(options: RunOptions) -> list[object]:
     return ["run", options.recording, "--robot", options.robot, "--out", options.out]
 
@@ -105,6 +112,7 @@ def test_run_prints_key_figures_and_where_the_page_is(options: RunOptions):
     assert err == "lidar.topic: /points chosen\n"
     assert "12 of 13 (1 dropped)" in out
     assert "dropped: 1 x nan" in out
+    assert "lost in 3 scans: `splitslam check` tells whether the robot file is wrong" in out
     assert out.splitlines()[-1].strip() == str(options.out / "report.html")
 
 

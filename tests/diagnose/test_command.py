@@ -208,6 +208,14 @@ def test_what_cannot_be_diagnosed_is_one_line_and_leaves_nothing(arguments: tupl
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty"]
 
 
+def test_a_folder_without_an_agent_and_no_configuration_named_is_one_line(tmp_path: Path):
+    exit_code, _, err = typed("splitslam", "diagnose", "--edge", tmp_path, "--out", tmp_path / "b.zip")
+    assert exit_code == 2
+    assert err.startswith(f"--edge {tmp_path}: no agent.json there, and ")
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_recordings_topics_are_known_to_the_ring_by_value(shared_data: Path):
     """Two agents, or one before and after a restart, mean the same stream."""
     streams = []

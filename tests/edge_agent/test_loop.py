@@ -162,7 +162,7 @@ def test_poses_of_the_samples_that_end_a_scan_come_with_those_after_it_once_thos
         imu_at(3 * SCAN_NS),
         ScanPacket(scan(2)),
         imu_at(3 * SCAN_NS + 1),
-        ScanPacket(scan(4)),
+        ScanPacket(scan(3)),
     ]
     loop = AgentLoop(made, lockstep=False)
     for _ in range(2):

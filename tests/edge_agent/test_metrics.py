@@ -13,6 +13,8 @@ from edge_agent.rate import RateControl, RateSettings
 from edge_agent.sources import Counts
 from edge_agent.tally import Tally, stage_summaries
 from edge_agent.tcp_meter import TcpBytes
+from edge_agent.types import OdometryReply
+from edge_agent.wire import Answer
 from splitslam.errors import InputError
 
 
@@ -107,3 +109,11 @@ def test_rates_go_by_recording_time_and_raw_is_the_papers_case_one():
     assert link["uplink"]["native_kbps"] is None
     assert link["uplink"]["ratio_to_raw"] == pytest.approx(raw_bytes / 50_000)
     assert link["downlink"] == {"bytes": 10_000, "kbps": 40.0}
+
+
+def test_a_scan_whose_place_the_service_did_not_know_counts_as_mapped_and_as_lost():
+    tally = Tally()
+    for seq, state in enumerate((2, 6, 5, 6), start=1):
+        reply = OdometryReply(seq, seq, np.eye(4), np.eye(4), np.eye(6), state, np.zeros((0, 6)))
+        tally.answer(Answer(reply, False, None, 0.01))
+    assert (tally.mapped, tally.lost) == (4, 2)

@@ -112,6 +112,7 @@ def test_a_run_s_folder_gives_clouds_and_paths(run: Run, folder: Path, tmp_path:
         (["results", "--out", "results"], "--out results: expected a file, found a folder"),
         (["results", "--out", "no/map.ply"], "--out no/map.ply: expected a file in a folder that exists"),
         (["results", "--out", "results/map.ply"], "--out results/map.ply: is there already (--force replaces it)"),
+        (["results", "--format", "grid", "--out", "m.pgm"], "--out m.pgm: expected the name of the grid's YAML; its"),
         (["results", "--format", "grid", "--resolution", "0"], "--resolution: expected 0.01 to 1 m, found 0"),
         (["results", "--format", "grid", "--min-height", "3"], "--min-height, --max-height: expected 0 < min < max"),
     ],

@@ -78,6 +78,16 @@ def test_the_pose_comes_at_imu_rate_and_never_steps():
     assert node.jumps["odom_max_deg"] < 0.03
 
 
+def test_how_fast_the_robot_turns_is_what_the_last_two_answers_say():
+    node, drive = make_node(), Drive(speed_mps=3.0)
+    for k, _, _, _ in play(node, drive, 5.0):
+        pass
+    before, after = (drive.T_odom_imu(0.1 * answered)[:3, :3] for answered in (k - 3, k - 2))
+    expected = se3.so3_log(before.T @ after) / 0.1
+    np.testing.assert_allclose(node._rate_imu(), expected, atol=0.1 * np.linalg.norm(expected))
+    assert np.linalg.norm(expected) > 0.1
+
+
 def test_poses_that_come_later_are_those_that_would_have_come_at_once():
     drive, nodes = Drive(speed_mps=2.0), (make_node(), make_node())
     stamps = START_NS + np.arange(200) * 5_000_000

@@ -69,7 +69,7 @@ def test_a_start_that_creeps_is_not_taken_for_rest():
     assert max(abs(each.accel_mps2[0]) for each in told if each is not None) < bars.REST_ACCELERATION_MPS2
 
 
-@pytest.mark.parametrize("what", ["a bumpy road", "a turn", "a brake"])
+@pytest.mark.parametrize("what", ["a bumpy road", "a turn", "a brake", "a steady curve"])
 def test_a_start_in_motion_is_not_taken_for_rest(what: str):
     rng, rest = np.random.default_rng(1), Rest()
     for k in range(1, 21):
@@ -77,6 +77,9 @@ def test_a_start_in_motion_is_not_taken_for_rest(what: str):
         t_s = (now.stamps_ns - START_NS) * 1e-9
         if what == "a turn":
             now.gyro_radps[:, 2] += 0.1 * np.sin(t_s)
+        if what == "a steady curve":  # 20 m/s on a radius of 800 m
+            now.gyro_radps[:, 2] += 0.025
+            now.accel_mps2[:, 1] += 0.5
         if what == "a brake":
             now.accel_mps2[:, 0] -= np.minimum(t_s, 1.0)
         assert rest.seen(now) is None

@@ -163,6 +163,8 @@ def test_a_backup_overwrites_nothing_and_leaves_no_half(tmp_path: Path, monkeypa
     with pytest.raises(InputError, match="is there already"):
         backup(store, tmp_path / "taken")
     assert (tmp_path / "taken").read_text() == "precious"
+    with pytest.raises(InputError, match=r"^/proc/backup\.sqlite: expected a folder that can be written"):
+        backup(store, Path("/proc/backup.sqlite"))
     with pytest.raises(InputError, match="no directory"):
         backup(store, tmp_path / "no" / "where")
     monkeypatch.setattr("map_service.archive._add", lambda digest, rows: 1 / 0)

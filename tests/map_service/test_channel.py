@@ -81,12 +81,18 @@ class Host:
         return 0
 
 
+class SilentWorker(Worker):
+    """Gives no signs of life: the first after its front's end would end this process."""
+
+    def _beat(self) -> None: ...
+
+
 def test_a_stream_that_ended_while_its_open_waited_is_known_to_have_ended(ends: Ends) -> None:
     ours, end = ends
     waiting = [Open(1, "robot-7/run", b""), Open(2, "robot-8/run", b""), Close(1), DrainAll()]
     ours.sendall(b"".join(map(channel.pack, waiting)))
     host = Host()
-    Worker(host, end, queue_messages=4).run()  # pyright: ignore[reportArgumentType]
+    SilentWorker(host, end, queue_messages=4).run()  # pyright: ignore[reportArgumentType]
     assert [message for message, _ in host.handled] == waiting
     assert host.handled[0][1] == {1}
 
@@ -94,7 +100,7 @@ def test_a_stream_that_ended_while_its_open_waited_is_known_to_have_ended(ends: 
 def test_a_worker_answers_a_message_as_soon_as_it_comes(ends: Ends) -> None:
     ours, end = ends
     host = Host()
-    worker = threading.Thread(target=Worker(host, end, queue_messages=4).run, daemon=True)  # pyright: ignore[reportArgumentType]
+    worker = threading.Thread(target=SilentWorker(host, end, queue_messages=4).run, daemon=True)  # pyright: ignore[reportArgumentType]
     worker.start()
     taken_s = []
     for n in range(20):

@@ -35,6 +35,14 @@ def test_options_win_over_the_environment_and_that_over_the_file(
     assert (effective.listen, effective.workers, effective.store) == ("127.0.0.1:3", 4, "sqlite:////tmp/file.db")
 
 
+def test_health_says_which_key_is_missing_when_tls_lets_it_ask_nobody(tmp_path: Path) -> None:
+    file = tmp_path / "service.yaml"
+    file.write_text("tls: {cert: a.pem, key: a.key, ca: ca.pem}\n")
+    asked = typed("map-service", "health", "--config", file)
+    assert (asked.exit_code, asked.out) == (2, "")
+    assert asked.err == "health_socket: expected a Unix socket's path: with tls nobody answers elsewhere\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -146,7 +146,8 @@ def test_a_token_is_shown_once_and_kept_as_its_hash(folder: Path) -> None:
     [
         (("init", "--fleet", "farm.example"), "expected no authority there"),
         (("init", "--fleet", "Farm"), "--fleet 'Farm': expected 1 to 63 of a-z"),
-        (("robot", "a/b", "--site", "north"), "is not an identity of a fleet"),
+        (("robot", "a/b", "--site", "north"), "NAME 'a/b': expected 1 to 128 letters, digits"),
+        (("robot", "rover-1", "--site", "up north"), "--site 'up north': expected 1 to 128 letters, digits"),
         (("token", "rover-1"), "a robot belongs to a site"),
         (("service", "--host", "map.example:50051"), "--host 'map.example:50051': expected a name or an address"),
         (("revoke", "nowhere.pem"), "nowhere.pem: cannot read"),
