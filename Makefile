@@ -12,6 +12,8 @@ WIRE_TOOLS := .venv-proto/.set-up
 BENCH := .venv-bench/.set-up
 FPGA := .venv-fpga/.set-up
 FPGA_TOOLS := g++ make perl
+KERNELS := $(shell find edge_agent map_service splitslam -name '*kernels.py' -o -name _jit.py)
+KERNELS_SEEN := .venv/.kernels-seen
 WORKERS ?= 2
 
 .PHONY: help setup bench-setup fpga-setup demo test bounds fpga-test fpga-report fuzz sbom chaos check format proto proto-baseline lock clean
@@ -19,7 +21,7 @@ WORKERS ?= 2
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' Makefile
 
-setup: $(STAMP) ## .venv with the locked versions and the commands splitslam, edge-agent, map-service
+setup: $(STAMP) $(KERNELS_SEEN) ## .venv with the locked versions and the commands splitslam, edge-agent, map-service
 
 $(STAMP): pyproject.toml $(LOCK)
 	@test -n "$(PYTHON)" || { echo "make setup: python3 3.11 or 3.12 with the venv module is needed, found: $$(python3 --version 2>&1 || echo none)." \
@@ -28,6 +30,11 @@ $(STAMP): pyproject.toml $(LOCK)
 	@echo "setting up .venv with $$($(BIN)/python --version): a minute or two, once"
 	@$(BIN)/python -m pip install -qq --no-deps --requirement $(LOCK)
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# numba compiles a kernel anew when its own file has changed, not when that of one which it calls has
+$(KERNELS_SEEN): $(KERNELS) | $(STAMP)
+	@find edge_agent map_service splitslam tests benchmarks -name '*.nb[ic]' -delete
 	@touch $@
 
 bench-setup: setup $(BENCH) ## .venv-bench with the systems that benchmarks/accuracy.py compares with
