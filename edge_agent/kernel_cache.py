@@ -19,7 +19,7 @@ def fill(robot_file: Path | None) -> KernelReport:
     from edge_agent.sources.beams import known_elevations_rad
     from edge_agent.warm_up import warm_up
 
-    robot = Robot.model_validate(_ANY_ROBOT) if robot_file is None else load_robot(robot_file)
+    robot = Robot.model_validate(_ANY_ROBOT) if robot_file is None else load_robot(robot_file, placed_elsewhere=True)
     beams = known_elevations_rad(robot.lidar)
     if beams is None:  # estimated from scans, which are not here: any will do
         beams = known_elevations_rad(Robot.model_validate(_ANY_ROBOT).lidar)

@@ -185,9 +185,9 @@ class AgentLoop:
         """Neighbouring samples go to the Imu node together: one call costs far more than one sample.
 
         The poses of the few samples that end a scan may come with those after it: it needs those of its start alone.
+        Not where several scans have waited for these samples.
         """
         samples: list[ImuSamples] = []
-        newest = max((k for k, item in enumerate(items) if isinstance(item, ImuSamples)), default=-1)
         for k, item in enumerate(items):
             if isinstance(item, ImuSamples):
                 samples.append(item)
@@ -195,7 +195,8 @@ class AgentLoop:
             if isinstance(item, WheelSamples):
                 self._parts.imu.add_wheels(item)
                 continue
-            self._take_samples(samples, later=k < newest and item.scan.stamp_ns <= self._given_ns)
+            samples_next = isinstance(items[k + 1], ImuSamples) if k + 1 < len(items) else False
+            self._take_samples(samples, later=samples_next and item.scan.stamp_ns <= self._given_ns)
             samples = []
             self._take_packet(item)
             if self.stopped:

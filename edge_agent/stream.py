@@ -61,14 +61,15 @@ class Stream:
             yield request
 
     def _read(self) -> None:
-        ending = Ending("ended_by_server", "ended by the server")
+        ending, heard = Ending("ended_by_server", "ended by the server"), False
         try:
-            for number, response in enumerate(self._call):
-                if number == 0:  # now the proxy's word is there; none: it did as it was told
+            for response in self._call:
+                if not heard:  # now the proxy's word is there; none: it did as it was told
                     self.replica = str(dict(self._call.initial_metadata()).get(REPLICA, self.replica))
+                    heard = True
                 self._on_response(self, response)
         except grpc.RpcError as error:
-            ending = _ending(error, self._connector.trouble())
+            ending = _ending(error, self._connector, heard)
         except Exception:  # a defect of ours must break the stream loudly, not leave it silent
             _log.exception("uplink reader failed")
             ending = Ending("internal", "internal error")
@@ -81,9 +82,9 @@ class Stream:
         self._channel.close()
 
 
-def _ending(error: grpc.RpcError, trouble: str) -> Ending:
-    """trouble: what the connection had, if anything."""
+def _ending(error: grpc.RpcError, connector: Connector, heard: bool) -> Ending:
+    """heard: the service had said something."""
     if isinstance(error, grpc.Call):
-        status = error.code().name
-        return Ending(status.lower(), f"{status}: {error.details()}{trouble}")
-    return Ending("unknown", f"{error}{trouble}")
+        status, said = error.code().name, str(error.details())
+        return Ending(status.lower(), f"{status}: {said}{connector.trouble(not heard and 'Socket closed' in said)}")
+    return Ending("unknown", f"{error}{connector.trouble()}")

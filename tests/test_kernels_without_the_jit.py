@@ -11,12 +11,17 @@ from tests.conftest import ROOT
 
 # A kernel's own tests import the kernel module itself.
 IMPORTS_KERNELS = re.compile(r"^\s*(?:from|import) (?:.*|.*\([^)]*)\b_\w*kernels\b", re.MULTILINE)
-# These name columns of a kernel, and run whole pipelines: minutes without the JIT, and not what it is about.
-WHOLE_DRIVES = {"tests/map_pipeline/test_old_ground_again.py", "tests/view/test_seen.py"}
+# These name columns of a kernel, and run whole pipelines: minutes without the JIT, and not what it is about. The last
+# is about what is compiled.
+OTHERS = {
+    "tests/map_pipeline/test_old_ground_again.py",
+    "tests/view/test_seen.py",
+    "tests/map_service/test_kernel_cache.py",
+}
 MODULES = sorted(
     name
     for path in (ROOT / "tests").rglob("test_*.py")
-    if (name := str(path.relative_to(ROOT))) not in WHOLE_DRIVES and IMPORTS_KERNELS.search(path.read_text())
+    if (name := str(path.relative_to(ROOT))) not in OTHERS and IMPORTS_KERNELS.search(path.read_text())
 )
 
 

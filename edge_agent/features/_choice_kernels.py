@@ -35,7 +35,7 @@ def sharpest(rank, target, chosen):
             if carry >= counts[last]:
                 carry -= counts[last]
                 chosen[i] = 1
-        total += chosen[i]
+        total += np.int64(chosen[i])  # without the JIT it were of 8 bits
     return total
 
 
@@ -157,7 +157,7 @@ def spread_by_group(group, target, chosen):
         carry[g] += quotas[g]
         chosen[i] = carry[g] >= counts[g]
         carry[g] -= counts[g] if chosen[i] else 0
-        total += chosen[i]
+        total += np.int64(chosen[i])  # without the JIT it were of 8 bits
     return total
 
 

@@ -151,8 +151,15 @@ class ImuNode:
         start_ns, rate = self.buffer.last_ns, self._rate_imu() + anchor.bias[:3]
         gyro = (rate, rate) if gyro_after is None else (self.buffer.last_gyro_radps, gyro_after)
         g = self.robot.gravity_mps2
-        self.buffer.append(carried_on(start_ns, until_ns, gyro, self._live[0], anchor.bias, g), made=True)
+        self.buffer.append(carried_on(start_ns, until_ns, gyro, self._newest(), anchor.bias, g), made=True)
         self.gaps.remember(start_ns, until_ns)
+
+    def _newest(self) -> Array:
+        """State (15,) at the newest sample: poses may lag behind it, see add_imu."""
+        if self._live_ns >= self.buffer.last_ns:
+            return self._live[0]
+        window = self.buffer.window(self._live_ns, self.buffer.last_ns)
+        return self._integrate(window, self._live[0], self._live_wheel_ns, self._live_P.copy())[-1]
 
     def _rate_imu(self) -> Array:
         """(3,) turning rate between the last two answers, rad/s; 0 without them."""

@@ -65,8 +65,13 @@ class Connector:
                 _log.warning("token not read: the one of before is used", extra=fields(detail=str(error)))
         return (("authorization", f"{SCHEME}{self._token}"),) if self._token else ()
 
-    def trouble(self) -> str:
-        """What may be wrong on this side when a connection fails: TLS 1.3 does not tell a client why it was refused."""
+    def trouble(self, turned_away: bool = False) -> str:
+        """What may be wrong on this side when a connection fails: TLS 1.3 does not tell a client why it was refused.
+
+        turned_away: the connection was taken, and closed before a word was said.
+        """
+        if turned_away and self._files is None:
+            return " (a service with TLS turns those away that have no `tls`, as here)"
         expired_s = self.expires_s
         if expired_s < time.time():
             return f" (the certificate expired on {datetime.fromtimestamp(expired_s, UTC):%Y-%m-%d %H:%M} UTC)"

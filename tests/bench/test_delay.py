@@ -18,19 +18,19 @@ bench = partial(typed, "splitslam", "bench", "delay")
 
 def test_it_writes_json_and_picture_of_every_delay_and_of_the_imu_node_alone(shared_data: Path, tmp_path: Path):
     out, yard1 = tmp_path / "out", shared_data / "yard1" / "yard1.bag"
-    exit_code, text, errors = bench(yard1, "--delays", "0,300,700", "--max-scans", SCANS, "--out", out, "--json")
+    exit_code, text, errors = bench(yard1, "--delays", "0,300,1000", "--max-scans", SCANS, "--out", out, "--json")
     assert exit_code == 0, errors
     result = json.loads(text)
     assert result == json.loads((out / "delay.json").read_text())
     assert (out / "delay.png").read_bytes().startswith(b"\x89PNG")
     runs = {(run["delay_ms"], run["edge_odometry"]): run for run in result["runs"]}
-    assert list(runs) == [(0, True), (300, True), (700, True), (700, False)]
+    assert list(runs) == [(0, True), (300, True), (1000, True), (1000, False)]
     assert (result["truth"], result["robot_pose_at"]) == ("given", "IMU rate")
     assert runs[0, True]["alone_s"] == runs[300, True]["alone_s"] == 0
-    assert runs[700, True]["alone_s"] > 10
+    assert runs[1000, True]["alone_s"] > 10
     assert runs[0, True]["robot_ate_ratio"] == 1.0
     assert runs[300, True]["robot_ate_ratio"] <= bars.DELAY_300_MS_RATIO
-    assert runs[700, False]["robot"]["ate_m"] > 1.3 * runs[700, True]["robot"]["ate_m"]
+    assert runs[1000, False]["robot"]["ate_m"] > 1.3 * runs[1000, True]["robot"]["ate_m"]
     assert runs[300, True]["robot"]["n"] > 10 * result["scans"]
     assert max(run["odom_max_m"] for run in runs.values()) <= bars.ODOM_STEP_M
 

@@ -46,11 +46,11 @@ class Rack:
     service: subprocess.Popen[str]
     address: str
 
-    def agent(self, name: str, state: str, **uplink: Any) -> subprocess.Popen[str]:
+    def agent(self, name: str, state: str, realtime: bool = False, **uplink: Any) -> subprocess.Popen[str]:
         values = {
             "robot": str(self.made.robot_path),
             "server": self.address,
-            "source": {"recording": str(self.made.bag_path)},
+            "source": {"recording": str(self.made.bag_path), "realtime": realtime},
             "output": {"dir": str(self.folder / name)},
             "metrics": {"port": None},
             "state_dir": str(self.folder / state),
@@ -169,7 +169,7 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
 
 
 def test_an_agent_and_a_service_that_are_killed_half_way_cost_no_whole_scan(rack: Rack, idle: dict[str, Any]) -> None:
-    first = rack.agent("killed", "state-killed", dense="idle")
+    first = rack.agent("killed", "state-killed", realtime=True, dense="idle")  # else it may be at its end by then
     runs = rack.folder / "state-killed" / "spool" / "dense"
     try:
         wait_until(lambda: len(list(runs.glob("*"))) == 1, "no whole scan was kept")

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import pytest
 
+from splitslam.errors import InputError
 from splitslam.security.authority import Authority
 from splitslam.security.identity import Identity
 from splitslam.stack.process import wait_until
+from tests.edge_agent.test_uplink import FAST, uplink_to
 from tests.map_service.harness import new_run
 from tests.security.fleet import FLEET, Client, Fleet, fleet_of, rises
 
@@ -203,6 +205,12 @@ def test_the_service_itself_ends_the_handshakes_that_the_proxy_would(who: str, f
     assert client.drive("rover-1").startswith("UNAVAILABLE")
     assert fleet.replica.metrics()[name] > handshakes
     assert rises(before, fleet.counters()) == set(), "somebody was asked who it is after the handshake"
+
+
+def test_a_robot_without_tls_hears_why_nobody_answers(fleet: Fleet) -> None:
+    impatient = FAST.model_copy(update={"connect_timeout_s": 1.0})
+    with uplink_to(fleet.replica.address, impatient) as uplink, pytest.raises(InputError, match="have no `tls`, as here"):
+        uplink.wait_welcome()
 
 
 def test_a_robot_drives_and_reads_its_own_session_by_every_way(fleet: Fleet) -> None:
