@@ -209,7 +209,8 @@ def test_the_service_itself_ends_the_handshakes_that_the_proxy_would(who: str, f
 
 def test_a_robot_without_tls_hears_why_nobody_answers(fleet: Fleet) -> None:
     impatient = FAST.model_copy(update={"connect_timeout_s": 1.0})
-    with uplink_to(fleet.replica.address, impatient) as uplink, pytest.raises(InputError, match="have no `tls`, as here"):
+    why = "have no `tls`, as here"
+    with uplink_to(fleet.replica.address, impatient) as uplink, pytest.raises(InputError, match=why):
         uplink.wait_welcome()
 
 
