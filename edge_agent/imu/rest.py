@@ -24,7 +24,7 @@ _MOST_MPS2, _MOST_RADPS = 0.1, 0.01  # change of a mean in rest: a hand's
 _TURNING_RADPS = 0.02  # more than a gyroscope's bias: in a steady curve nothing changes either, but v * w is no gravity
 _SHAKEN_MPS2 = 0.5  # standard deviation of samples
 _LEAST_MPS2, _LEAST_RADPS = 5e-3, 1e-4  # scatter of means, where samples are coarse
-_INEXACT_MPS2 = 0.02  # of a mean: 2 mrad; engines shake, hands sway
+_INEXACT_MPS2 = 0.1  # of a mean: 10 mrad; what a bias may be, engines shake, hands sway
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ class Rest:
         self._accel.append(accel)
         if self.over or len(self._gyro) <= _LEAST_MEANS:
             return None
-        return AtRest(self._accel[-1 - _LATE_MEANS], max(accel_sigma, _INEXACT_MPS2))
+        return AtRest(self._accel[-1 - _LATE_MEANS], float(np.hypot(accel_sigma, _INEXACT_MPS2)))
 
 
 def _change(mean: Array, before: Collection[Array]) -> float:
