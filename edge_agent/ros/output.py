@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from edge_agent.ros import messages
 from edge_agent.ros.base_samples import BaseSample, BaseSampler, Belief
-from edge_agent.ros.codec import DIAGNOSTICS, TF
-from edge_agent.ros.connect import GraphClock, join
-from edge_agent.ros.graph import RELIABLE, STATIC, TRANSFORMS, Graph, in_namespace
+from edge_agent.ros.codec import TF
+from edge_agent.ros.connect import join
+from edge_agent.ros.graph import STATIC, TRANSFORMS
+from edge_agent.ros.outlets import Outlets
 from edge_agent.ros.owner import OdomOwner
-from edge_agent.ros.settings import GraphSettings, RosSettings
+from edge_agent.ros.settings import RosSettings
 from edge_agent.ros.source import RosSource
 from edge_agent.sources.source import Source
 from edge_agent.types import OdomPoses
@@ -49,12 +50,12 @@ def open_output(
     node = config.source.ros or settings.ros1 or settings.ros2
     if not settings.publish or node is None:
         return None
-    if isinstance(source, RosSource):
-        graph = source.graph
-    else:
+    outlets = source.outlets if isinstance(source, RosSource) else None
+    if outlets is None:
         graph = join(node, stop)
         cleanup.callback(graph.close)
-    output = RosOutput(settings, graph, node, source.robot, belief, report)
+        outlets = Outlets(graph, node, settings, source.robot.robot.id)
+    output = RosOutput(settings, outlets, source.robot, belief, report)
     cleanup.callback(output.close)
     return output
 
@@ -62,12 +63,8 @@ def open_output(
 class RosOutput:
     """Transforms, odometry and diagnostics. dropped: samples that the queue had no room for, or that were not sent."""
 
-    def __init__(
-        self, settings: RosSettings, graph: Graph, node: GraphSettings, robot: Robot, belief: Belief, report: Report
-    ) -> None:
-        self._settings, self._graph, self._codec, self._report = settings, graph, graph.codec, report
-        self._who = node.node, robot.robot.id
-        self._now_ns = GraphClock(graph, node.use_sim_time)
+    def __init__(self, settings: RosSettings, outlets: Outlets, robot: Robot, belief: Belief, report: Report) -> None:
+        self._settings, self._outlets, self._codec, self._report = settings, outlets, outlets.graph.codec, report
         self._sampler = BaseSampler(robot, belief, settings.rate_hz)
         self.dropped: Counter[str] = Counter()
         self.sent = 0
@@ -77,12 +74,8 @@ class RosOutput:
         self._changed = threading.Condition()
         self._closed = False
         self._owner = OdomOwner(settings, self._codec)
-        tf, odometry = (in_namespace(name, node.namespace) for name in (settings.tf, settings.odometry))
-        self._send_tf = graph.advertise(tf, TF, TRANSFORMS)
-        self._send_odometry = graph.advertise(odometry, messages.ODOMETRY, RELIABLE)
-        self._send_diagnostics = graph.advertise("/diagnostics", DIAGNOSTICS, RELIABLE)
-        graph.subscribe(tf, TF, TRANSFORMS, self._owner.on_tf)
-        graph.subscribe(f"{tf}_static", TF, STATIC, self._owner.on_static)
+        outlets.graph.subscribe(outlets.tf, TF, TRANSFORMS, self._owner.on_tf)
+        outlets.graph.subscribe(f"{outlets.tf}_static", TF, STATIC, self._owner.on_static)
         self._thread = threading.Thread(target=self._run, name="ros-output", daemon=True)
         self._thread.start()
 
@@ -146,12 +139,14 @@ class RosOutput:
 
     def _send_transforms(self, stamp_ns: int, T_map_odom: Array, more: list[tuple[str, str, Array]]) -> None:
         edges = [(self._settings.map_frame, self._settings.odom_frame, T_map_odom), *more]
-        self._send_tf(self._codec.encode(messages.transforms(self._codec, stamp_ns, edges)))
+        self._outlets.send_tf(self._codec.encode(messages.transforms(self._codec, stamp_ns, edges)))
         self.sent += 1
 
     def _send_pose(self, sample: BaseSample, frames: tuple[str, str], T: Array) -> None:
         doubts = sample.covariance, sample.twist, sample.doubt
-        self._send_odometry(self._codec.encode(messages.odometry(self._codec, sample.stamp_ns, frames, T, *doubts)))
+        self._outlets.send_odometry(
+            self._codec.encode(messages.odometry(self._codec, sample.stamp_ns, frames, T, *doubts))
+        )
 
     def _send_through_other(self) -> None:
         """`map -> odom` such that the other node's `odom -> base` ends where we say, at the newest time both know."""
@@ -181,6 +176,4 @@ class RosOutput:
         return name, _LEVELS.get(name, messages.WARN)
 
     def _send_status(self, text: str, level: int) -> None:
-        values = {**self._report(), "transforms": self.sent, **self.dropped}
-        message = messages.diagnostics(self._codec, self._now_ns(), self._who, level, text, values)
-        self._send_diagnostics(self._codec.encode(message))
+        self._outlets.say(text, level, {**self._report(), "transforms": self.sent, **self.dropped})

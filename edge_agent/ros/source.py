@@ -14,6 +14,7 @@ from edge_agent.ros.extrinsics import Extrinsics
 from edge_agent.ros.graph import SAMPLES, SCANS, STATIC, Graph
 from edge_agent.ros.inbox import Inbox, RawMessage
 from edge_agent.ros.missing import Missing
+from edge_agent.ros.outlets import Outlets
 from edge_agent.ros.patience import Patience
 from edge_agent.ros.sensors import SensorSearch
 from edge_agent.ros.settings import GraphSettings, RosSettings
@@ -43,7 +44,8 @@ def open_ros(settings: GraphSettings, ros: RosSettings, robot: Robot, stop: thre
 class RosSource:
     """Source: the robot's sensors in a graph. What comes while the agent starts waits, and is not lost.
 
-    graph: for the output as well. dropped: includes what the middleware says that it has lost, and what never came.
+    outlets: the agent's own topics; None: it publishes nothing. dropped: includes what the middleware says that it has
+    lost, and what never came.
     """
 
     def __init__(
@@ -55,7 +57,8 @@ class RosSource:
         self.scan_count: int | None = None
         self.start_ns = self.end_ns = 0
         self.dropped = graph.lost
-        self._patience = Patience(settings.wait_s, stop)
+        self.outlets = Outlets(graph, settings, ros, robot.robot.id) if ros.publish else None
+        self._patience = Patience(settings.wait_s, stop, self.outlets.waiting if self.outlets else None)
         sensors = SensorSearch(graph, settings.namespace, robot).wait(self._patience)
         self.topics, self._types = sensors.topics, sensors.types
         self._inbox = Inbox(settings.queue_bytes, self.dropped)

@@ -249,8 +249,8 @@ class _Pump:
             await self._link.ready(self._way, len(data))
             if not data:
                 return
+            self._link.count(self._way, len(data))  # first: whoever has got the bytes may look at once
             await self._loop.sock_sendall(sink, data)
-            self._link.count(self._way, len(data))
 
 
 async def _first(work: Sequence[Coroutine[Any, Any, None]]) -> None:

@@ -19,6 +19,7 @@ class FakeGraph:
         self.lost: Counter[str] = Counter()
         self.there = there or {}
         self.sent: defaultdict[str, list[Any]] = defaultdict(list)
+        self.advertised: list[str] = []
         self.deliveries: dict[str, Delivery] = {}
         self.receivers: defaultdict[str, list[Receive]] = defaultdict(list)
         self.on_subscribe: Callable[[str], None] = lambda topic: None
@@ -34,6 +35,8 @@ class FakeGraph:
         self.on_subscribe(topic)
 
     def advertise(self, topic: str, msgtype: str, delivery: Delivery) -> Send:
+        self.advertised.append(topic)
+
         def send(raw: bytes) -> None:
             if self.broken:
                 raise RuntimeError("no route")

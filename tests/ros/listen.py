@@ -1,6 +1,6 @@
 """`python -m tests.ros.listen ros2|ros1 SETTINGS`: what is said on /tf, odometry and diagnostics, JSON lines.
 
-SETTINGS: JSON of the graph's settings. Runs until it is ended.
+SETTINGS: JSON of the graph's settings. Says READY on stderr; runs until it is ended.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from edge_agent.ros.messages import ODOMETRY
 from edge_agent.ros.settings import Ros1Settings, Ros2Settings
 from edge_agent.sources.messages import stamp_ns
 
+READY = "listening"
 TOPICS = {"/tf": (TF, TRANSFORMS), "/splitslam/odometry": (ODOMETRY, RELIABLE), "/diagnostics": (DIAGNOSTICS, RELIABLE)}
 
 
@@ -35,6 +36,7 @@ def main(kind: str, settings: str) -> None:
 
     for topic, (msgtype, delivery) in TOPICS.items():
         graph.subscribe(topic, msgtype, delivery, lambda raw, at=topic, of=msgtype: heard(at, of, raw))
+    print(READY, file=sys.stderr, flush=True)
     stop.wait()
     graph.close()
 

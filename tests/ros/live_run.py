@@ -16,6 +16,7 @@ from splitslam.evaluate import Evaluation, evaluate
 from splitslam.run.service import embedded_service
 from splitslam.tum import Trajectory, read_tum
 from tests.conftest import ROOT
+from tests.ros.listen import READY
 
 PYTHON = sys.executable
 
@@ -61,6 +62,7 @@ def live_run(
         (folder / "agent.yaml").write_text(json.dumps(values))
         command = [PYTHON, "-m", "edge_agent", "run", "--config", str(folder / "agent.yaml")]
         hearing = stack.enter_context(_Program(folder / "listener", listener, environment))
+        hearing.wait_for(READY)
         playing = stack.enter_context(_Program(folder / "player", player, of_player or environment))
         running = stack.enter_context(_Program(folder / "agent", command, environment))
         running.wait(timeout_s, (playing, hearing))
@@ -103,6 +105,14 @@ class _Program:
         exit_code = self.process.poll()
         assert not exit_code, f"{self._path.name}: exit code {exit_code}: {self.complained[-2000:]}"
         return exit_code is not None
+
+    def wait_for(self, word: str, timeout_s: float = 60.0) -> None:
+        """Until it has said this on stderr."""
+        deadline_s = time.monotonic() + timeout_s
+        while word not in self.complained:
+            in_vain = self.check() or time.monotonic() > deadline_s
+            assert not in_vain, f"{self._path.name} does not say {word!r}: {self.complained[-2000:]}"
+            time.sleep(0.02)
 
     def wait(self, timeout_s: float, others: Sequence[_Program] = ()) -> None:
         """For its end; others: that must not fail meanwhile."""

@@ -14,6 +14,7 @@ import pytest
 
 from edge_agent.ros import messages
 from edge_agent.ros.base_samples import Belief
+from edge_agent.ros.outlets import Outlets
 from edge_agent.ros.output import RosOutput
 from edge_agent.ros.settings import Ros2Settings, RosSettings
 from edge_agent.ros.tf_buffer import transform_of
@@ -52,9 +53,9 @@ class Stage:
     def output(self, **settings: Any) -> RosOutput:
         belief = Belief(self.imu, lambda: self.state, lambda: self.offset_ns)
         values = {"diagnostics_hz": 1000.0, **settings}
-        output = RosOutput(
-            RosSettings(**values), self.graph, Ros2Settings(), ROBOT, belief, lambda: {"connected": True}
-        )
+        ros = RosSettings(**values)
+        outlets = Outlets(self.graph, Ros2Settings(), ros, ROBOT.robot.id)
+        output = RosOutput(ros, outlets, ROBOT, belief, lambda: {"connected": True})
         self.stack.callback(output.close)
         return output
 
@@ -260,7 +261,8 @@ def test_names_and_namespace_are_the_configurations():
         settings = RosSettings(
             map_frame="world", odom_frame="r1/odom", base_frame="/r1/base", odometry="odom", tf="tf", rate_hz=0
         )
-        output = RosOutput(settings, graph, Ros2Settings(namespace="/r1/"), ROBOT, belief, dict)
+        outlets = Outlets(graph, Ros2Settings(namespace="/r1/"), settings, ROBOT.robot.id)
+        output = RosOutput(settings, outlets, ROBOT, belief, dict)
         stack.callback(output.close)
         output.publish(poses(0, 3))
         eventually(lambda: bool(graph.sent["/r1/odom"]))

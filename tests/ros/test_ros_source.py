@@ -15,6 +15,7 @@ from edge_agent.ros.source import RosSource
 from edge_agent.sources import open_recording
 from edge_agent.sources.source import Event
 from splitslam import se3
+from splitslam.errors import InputError
 from splitslam.robot import robot_from_yaml
 from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 from tests.ros.fake_graph import FakeGraph
@@ -111,6 +112,21 @@ def test_arrivals_are_on_a_clock_that_looks_like_unix_time_and_never_steps():
     arrivals_ns = [timed[0] for timed in live.events() if timed is not None]
     assert all(abs(arrival_ns - before_ns) < 10 * 10**9 for arrival_ns in arrivals_ns)
     assert (live.start_ns, live.end_ns) == (arrivals_ns[0], arrivals_ns[-1])
+
+
+def test_the_agents_own_topics_are_there_before_the_sensors_and_diagnostics_say_what_it_waits_for():
+    graph = FakeGraph()
+    with pytest.raises(InputError):
+        source(graph)
+    assert graph.advertised == ["/tf", "/splitslam/odometry", "/diagnostics"]
+    assert graph.sent["/diagnostics"][0].status[0].message == "waiting for lidar"
+    assert graph.sent["/diagnostics"][0].status[0].level == messages.WARN
+
+
+def test_an_agent_that_publishes_nothing_has_no_topics():
+    graph = Robot()
+    source(graph, ros=RosSettings(publish=False))
+    assert graph.advertised == []
 
 
 def test_a_source_that_is_silent_says_so_and_goes_on_until_it_is_closed():
