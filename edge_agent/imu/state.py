@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splitslam import se3
+
 Array = NDArray[np.float64]
 
 
@@ -28,6 +30,16 @@ class NavigationState:
     def velocity_sigma_mps(self) -> float:
         """Of one axis, in the mean."""
         return float(np.sqrt(np.trace(self.velocity_covariance) / 3))
+
+    @property
+    def row(self) -> Array:
+        """(15,), see _kernels.py."""
+        return np.concatenate([self.T_odom_imu[:3, :3].reshape(-1), self.T_odom_imu[:3, 3], self.velocity_mps])
+
+
+def pose_and_velocity(row: Array) -> tuple[Array, Array]:
+    """T_odom_imu (4, 4) and the velocity (3,) in `odom`, m/s, of a row (15,)."""
+    return se3.compose(row[:9].reshape(3, 3), row[9:12]), row[12:].copy()
 
 
 @dataclass(frozen=True, slots=True)

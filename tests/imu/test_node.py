@@ -84,7 +84,7 @@ def test_how_fast_the_robot_turns_is_what_the_last_two_answers_say():
         pass
     before, after = (drive.T_odom_imu(0.1 * answered)[:3, :3] for answered in (k - 3, k - 2))
     expected = se3.so3_log(before.T @ after) / 0.1
-    np.testing.assert_allclose(node._rate_imu(), expected, atol=0.1 * float(np.linalg.norm(expected)))
+    np.testing.assert_allclose(node.imu.rate_radps(), expected, atol=0.1 * float(np.linalg.norm(expected)))
     assert np.linalg.norm(expected) > 0.1
 
 
@@ -152,7 +152,7 @@ def test_a_minute_without_answers_costs_no_scan_more_than_the_last_ones_and_an_o
     old: list[OdometryReply] = []
     original = node.on_odometry
     node.on_odometry = old.append  # type: ignore[method-assign]
-    samples = [len(node.buffer) for _ in play(node, drive, 3 * history_s)]
+    samples = [len(node.imu) for _ in play(node, drive, 3 * history_s)]
     assert max(samples) < 200.0 * (history_s + 2.0)
     for reply in old:
         original(replace(reply, T_map_lidar=np.eye(4)))

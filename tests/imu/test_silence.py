@@ -21,7 +21,7 @@ def walked() -> tuple[ImuNode, np.ndarray]:
     node = make_node(RATE_HZ)
     for _ in play(node, WALK, WALKED_S):
         pass
-    return node, node.T_odom_lidar_at(node.buffer.last_ns)
+    return node, node.T_odom_lidar_at(node.imu.last_ns)
 
 
 def standing(node: ImuNode, first_ns: int, seconds: float, R_odom_imu: np.ndarray):
@@ -43,14 +43,14 @@ def test_minutes_without_a_scan_fill_no_memory_and_leave_the_robot_about_where_i
     node, before = walked()
     R_odom_imu = before[:3, :3] @ node.T_lidar_imu[:3, :3]
     most, newest, largest_m = 0, before[:3, 3], 0.0
-    for poses in standing(node, node.buffer.last_ns + STEP_NS, 600.0, R_odom_imu):
-        most = max(most, len(node.buffer))
+    for poses in standing(node, node.imu.last_ns + STEP_NS, 600.0, R_odom_imu):
+        most = max(most, len(node.imu))
         steps_m = np.linalg.norm(np.diff(np.vstack([newest, poses.positions_m]), axis=0), axis=1)
         newest, largest_m = poses.positions_m[-1], max(largest_m, float(steps_m.max()))
     assert most < 30 * RATE_HZ
     assert largest_m < 0.25, "50 m/s, and no step"
     assert np.linalg.norm(newest - before[:3, 3]) < 1000.0, "what biases do in a minute, not the 300 km of ten"
-    end_ns = node.buffer.last_ns
+    end_ns = node.imu.last_ns
     assert is_unseen(node.motion_over(end_ns - SCAN_NS - STEP_NS, end_ns - STEP_NS))
     again = node.motion_over(end_ns - STEP_NS, end_ns)
     assert not again.velocity_known
@@ -63,7 +63,7 @@ def test_a_night_without_any_sensor_passes_at_once_and_the_robot_stands_where_it
     hours: float, lidar_first: bool
 ) -> None:
     node, before = walked()
-    back_ns = node.buffer.last_ns + int(hours * 3600e9)
+    back_ns = node.imu.last_ns + int(hours * 3600e9)
     if lidar_first:
         assert is_unseen(node.motion_over(back_ns, back_ns + SCAN_NS))
         back_ns += 2 * SCAN_NS
@@ -71,7 +71,7 @@ def test_a_night_without_any_sensor_passes_at_once_and_the_robot_stands_where_it
     poses = list(standing(node, back_ns, 0.2, R_odom_imu))
     assert sum(len(some.stamps_ns) for some in poses) < 1000
     assert np.linalg.norm(poses[-1].positions_m[-1] - before[:3, 3]) < 1.0
-    assert len(node.buffer) < 1000
+    assert len(node.imu) < 1000
     motion = node.motion_over(back_ns - 1000, back_ns + SCAN_NS)
     assert is_unseen(motion) is not lidar_first, "told once"
     assert not motion.velocity_known
@@ -81,6 +81,6 @@ def test_a_lidar_that_never_comes_fills_no_memory() -> None:
     node = make_node(RATE_HZ)
     for _ in standing(node, START_NS, 300.0, np.eye(3)):
         pass
-    assert len(node.buffer) < 30 * RATE_HZ
-    motion = node.motion_over(node.buffer.last_ns - SCAN_NS, node.buffer.last_ns)
+    assert len(node.imu) < 30 * RATE_HZ
+    motion = node.motion_over(node.imu.last_ns - SCAN_NS, node.imu.last_ns)
     assert motion.gravity_lidar @ node.T_lidar_imu[:3, :3] @ [0.0, 0.0, -1.0] > np.cos(0.02)

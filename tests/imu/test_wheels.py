@@ -50,8 +50,8 @@ def test_wheels_that_slip_are_left_out_for_as_long(service, slip_mps, imu_alone)
     aided = drive(slipping, service)
     assert along(aided) < 0.5 * along(imu_alone[service])  # believed, they alone would be 4.5 m off
     if service is BLIND:
-        assert aided.node.wheels is not None
-        assert 28 <= aided.node.wheels.slips <= 33
+        assert aided.node.reckoning.wheels is not None
+        assert 28 <= aided.node.reckoning.wheels.slips <= 33
 
 
 def test_what_lidar_and_imu_see_is_not_spoilt_by_a_wrong_wheel_size():
@@ -63,7 +63,7 @@ def test_what_lidar_and_imu_see_is_not_spoilt_by_a_wrong_wheel_size():
 
 
 def test_the_wheels_scale_is_found_while_the_lidar_sees():
-    wheels = drive(Wheels(scale=0.015), Service(noise_m=0.005), since_s=5.0).node.wheels
+    wheels = drive(Wheels(scale=0.015), Service(noise_m=0.005), since_s=5.0).node.reckoning.wheels
     assert wheels is not None
     factors = wheels.factors
     assert abs(factors.scale - 0.015) < 3 * factors.scale_sigma
