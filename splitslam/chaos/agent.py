@@ -91,6 +91,7 @@ class Agent:
         self._server, self._settings, self._program = server, settings or {}, tuple(program)
         self.process = StackProcess(name, folder / "agent.log")
         self._stopping = threading.Event()
+        self._beginning = threading.Lock()  # a life begins before a stop, which ends it, or not at all
         self._thread = threading.Thread(target=self._supervise, name=f"supervisor-{name}", daemon=True)
 
     def start(self) -> None:
@@ -98,8 +99,8 @@ class Agent:
         robot = yaml.safe_load(self.drive.robot.read_text())
         robot["robot"] = {**robot.get("robot", {}), "id": self.name}
         (self.folder / "robot.yaml").write_text(yaml.safe_dump(robot))
-        self._begin()
-        self._thread.start()
+        if self._begin():
+            self._thread.start()
 
     @property
     def done(self) -> bool:
@@ -122,19 +123,25 @@ class Agent:
     def stop(self) -> None:
         """Ends it for good."""
         self._stopping.set()
-        self.process.stop(_STOP_S)
+        with self._beginning:
+            self.process.stop(_STOP_S)
         if self._thread.is_alive():
             self._thread.join()
 
     # --- the supervisor ---------------------------------------------------------------------------------------
 
-    def _begin(self) -> None:
+    def _begin(self) -> bool:
+        """The next life; False when it shall have none."""
         folder = self.folder / f"life-{len(self.lives) + 1}"
         folder.mkdir()
         config = folder / "agent.yaml"
         config.write_text(yaml.safe_dump(self._config(folder)))
-        self.process.launch((*self._program, "run", "--config", config))
-        self.lives.append(Life(folder, self.process.pid, time.monotonic()))
+        with self._beginning:
+            if self._stopping.is_set():
+                return False
+            self.process.launch((*self._program, "run", "--config", config))
+            self.lives.append(Life(folder, self.process.pid, time.monotonic()))
+        return True
 
     def _config(self, folder: Path) -> dict[str, Any]:
         by_the_clock = {"realtime": True, "began_s": self.began_s} if self.began_s is not None else {}
@@ -157,4 +164,5 @@ class Agent:
             life.ended_s, life.exit_code = time.monotonic(), exit_code
             if exit_code >= 0 or self._stopping.wait(_RESTART_S):  # one that has ended by itself says why
                 return
-            self._begin()
+            if not self._begin():
+                return

@@ -58,6 +58,7 @@ class Show:
         self._store_word = self._proxy_word = "up"
         self._rack = threading.Lock()  # keys may ask for a second harm before the first is mended
         self._work = ThreadPoolExecutor(8, "harm")
+        self._supervisors = ThreadPoolExecutor(len(stack.replicas), "supervisor")
         self._harms: dict[str, Callable[[float], str]] = {
             "kill replica": self._kill_replica,
             "freeze replica": self._freeze_replica,
@@ -75,6 +76,7 @@ class Show:
     def stop(self) -> None:
         """Waits for what is being mended."""
         self._work.shutdown()
+        self._supervisors.shutdown()  # last: a harm that was still being done has let one of them begin
         for watch in (*self._robots, *self._replicas):
             watch.stop()
 
@@ -107,7 +109,7 @@ class Show:
     # --- the harms; each returns what it did, "" for nothing ---------------------------------------------------
 
     def _busiest(self) -> ReplicaWatch | None:
-        up = [watch for watch in self._replicas if watch.status.word == "up"]
+        up = [watch for watch in self._replicas if watch.status.word == "up" and watch.replica.alive]
         return max(up, key=lambda watch: watch.status.streams, default=None)
 
     def _kill_replica(self, _for_s: float) -> str:
@@ -116,7 +118,7 @@ class Show:
         name, robots = watch.replica.name, watch.status.streams
         watch.replica.kill()
         self._note(f"{name} killed (SIGKILL) with {robots} robots")
-        self._work.submit(self._again, watch)
+        self._supervisors.submit(self._again, watch)
         return f"{name} killed"
 
     def _again(self, watch: ReplicaWatch) -> None:
@@ -124,6 +126,8 @@ class Show:
         watch.draining = False
         for _ in range(_TRIES):
             time.sleep(_RESTART_S)
+            if watch.replica.alive:  # it was killed twice, and another of us was first
+                return
             with contextlib.suppress(StackError):
                 watch.replica.start()
                 self._note(f"{watch.replica.name} started again")
@@ -148,7 +152,7 @@ class Show:
         watch.draining = True
         self._note(f"{watch.replica.name} drains (SIGTERM), {watch.status.streams} robots move")
         watch.replica.drain()
-        self._work.submit(self._again, watch)
+        self._supervisors.submit(self._again, watch)
         return f"{watch.replica.name} drained"
 
     def _kill_store(self, for_s: float) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import threading
 import time
 import urllib.request
 from dataclasses import dataclass, field
+from typing import Any
 
 import grpc
 import numpy as np
@@ -57,6 +59,7 @@ class AgentWatch:
     agent: Agent
     status: AgentStatus = field(default_factory=AgentStatus)
     _pose: local_pb2.WatchResponse | None = None
+    _call: Any = None  # that waits for the next pose
     _answered_s: float | None = None
     _stop: threading.Event = field(default_factory=threading.Event)
     _threads: list[threading.Thread] = field(default_factory=list)
@@ -68,21 +71,24 @@ class AgentWatch:
             thread.start()
 
     def stop(self) -> None:
+        """Does not wait for a pose: an agent may have none to tell."""
         self._stop.set()
+        if self._call is not None:
+            self._call.cancel()
         for thread in self._threads:
             thread.join()
 
     def _follow_pose(self) -> None:
         while not self._stop.is_set():
             with grpc.insecure_channel(f"unix:{self.agent.socket}") as channel:
-                call = local_pb2_grpc.LocalPoseServiceStub(channel).Watch(
+                call = self._call = local_pb2_grpc.LocalPoseServiceStub(channel).Watch(
                     local_pb2.WatchRequest(max_rate_hz=_POSE_HZ), wait_for_ready=False
                 )
+                if self._stop.is_set():  # `stop` may not have seen the call
+                    call.cancel()
                 with contextlib.suppress(grpc.RpcError):
                     for self._pose in call:
-                        if self._stop.is_set():
-                            break
-                call.cancel()
+                        pass
             self._stop.wait(0.1)
 
     def _follow_metrics(self) -> None:
@@ -158,13 +164,14 @@ class ReplicaWatch:
 
 
 def read_metrics(port: int | None) -> dict[str, float]:
-    """Every sample by name and labels; empty when nobody answers."""
+    """Every sample by name and labels; empty when nobody answers, or is killed while it does."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=_ASK_S) as page:
             lines = page.read().decode().splitlines()
-    except OSError:
+        samples = (line.rsplit(" ", 1) for line in lines if not line.startswith("#"))
+        return {name: float(value) for name, value in samples}
+    except (OSError, http.client.HTTPException, ValueError):
         return {}
-    return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines if not line.startswith("#"))}
 
 
 def _matrix(message: Transform) -> NDArray[np.float64]:
