@@ -79,10 +79,6 @@ class Keyframes:
         """Pose of a keyframe in `local`."""
         return self._poses[index]
 
-    def positions_local_m(self) -> Array:
-        """(n, 3) of all."""
-        return self._poses.positions_m
-
     def poses_local(self) -> Array:
         """(n, 4, 4) of all."""
         return self._poses.matrices

@@ -13,7 +13,6 @@ import grpc
 
 from splitslam.errors import InputError
 from splitslam.logs import fields
-from splitslam.security.loopback import is_loopback
 from splitslam.security.settings import ClientTls
 from splitslam.security.tokens import SCHEME
 
@@ -38,11 +37,6 @@ class Connector:
 
             self._files = CertificateFiles(tls.cert, tls.key, tls.ca)
         self.metadata()
-
-    @property
-    def in_the_clear(self) -> bool:
-        """Anybody on the way to another machine can read and change what is said."""
-        return self._files is None and not is_loopback(self._server)
 
     def channel(self, options: Options = ()) -> grpc.Channel:
         """A new one each time: a rotated certificate is used from the next connection on."""
