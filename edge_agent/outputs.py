@@ -16,19 +16,12 @@ from edge_agent.types import OdometryReply, OdomPoses
 from edge_agent.wire import state_name
 from splitslam import se3
 from splitslam.errors import InputError
+from splitslam.tum import tum_line
 
 _UPPER = np.triu_indices(6)
 _NUMBERS = ",".join(["%.6e"] * len(_UPPER[0]))
 
 Array = NDArray[np.float64]
-
-
-def tum_line(stamp_ns: int, position_m: Array, quat_xyzw: Array) -> str:
-    """One TUM line; the stamp goes from int64 to 9 decimals without passing through a float."""
-    seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    x, y, z = position_m.tolist()  # plain floats: numpy's take longer to write than to work out
-    qx, qy, qz, qw = quat_xyzw.tolist()
-    return f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
 
 
 class Outputs:
@@ -58,14 +51,14 @@ class Outputs:
         self._files["online_covariance.csv"].write(covariance_line(reply))
 
     def odom(self, stamp_ns: int, T_odom_lidar: Array) -> None:
-        """The edge's own pose of a scan."""
+        """The edge's own pose (4, 4) of a scan."""
         self._pose("odom.tum", stamp_ns, T_odom_lidar)
 
     def _pose(self, name: str, stamp_ns: int, T: Array) -> None:
         self._files[name].write(tum_line(stamp_ns, T[:3, 3], se3.quat_from_matrix(T[:3, :3])))
 
     def imu(self, poses: OdomPoses, T_map_odom: Array) -> None:
-        """IMU-rate poses, T_map_odom as known at the time."""
+        """IMU-rate poses, T_map_odom (4, 4) as known at the time."""
         if len(self._text) < LONGEST_LINE * len(poses.stamps_ns):
             self._text = np.empty(LONGEST_LINE * len(poses.stamps_ns), np.uint8)
         size = moved_lines(poses.stamps_ns, poses.positions_m, poses.quats_xyzw, T_map_odom, self._text)

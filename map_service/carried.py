@@ -55,6 +55,7 @@ class CarriedScans:
         return len(self._scans)
 
     def add(self, frame: FeatureFrame, T_local_lidar: Array) -> None:
+        """The next one, where it was carried to (4, 4)."""
         if len(self._scans) >= WITH_POINTS:
             self._scans[-WITH_POINTS] = replace(self._scans[-WITH_POINTS], frame=None)
         self._scans.append(Carried(frame.seq, frame.stamp_ns, T_local_lidar, frame))
@@ -75,7 +76,7 @@ class CarriedScans:
             yield replace(scan, T_local_lidar=se3.orthonormalised(T))
 
     def move(self, T_new_local: Array) -> None:
-        """`local` is renamed."""
+        """`local` is renamed, by T_new_local (4, 4)."""
         for i, scan in enumerate(self._scans):
             self._scans[i] = replace(scan, T_local_lidar=se3.orthonormalised(T_new_local @ scan.T_local_lidar))
 

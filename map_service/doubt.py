@@ -196,7 +196,7 @@ class Doubt:
     # --- the rest ---------------------------------------------------------------------------------------------
 
     def move(self, T_new_local: Array) -> None:
-        """`local` is renamed."""
+        """`local` is renamed, by T_new_local (4, 4)."""
         d = self.state
         d.T_local_lost = se3.orthonormalised(T_new_local @ d.T_local_lost)
         d.hypotheses = [

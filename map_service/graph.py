@@ -62,7 +62,7 @@ class PoseGraph:
     # --- what the session adds --------------------------------------------------------------------------------
 
     def add_first(self, T_map_lidar: Array, tilt_sigma_rad: float = 0.0) -> None:
-        """Keyframe 0 defines `map`, but for what is level: that it knows to `tilt_sigma_rad`."""
+        """Keyframe 0 (4, 4) defines `map`, but for what is level: that it knows to `tilt_sigma_rad`."""
         tilt = float(np.clip(tilt_sigma_rad, *self.settings.first_tilt_rad))
         self._record("prior", {"pose": _flat(T_map_lidar), "tilt": tilt}, T_map_lidar)
 

@@ -57,7 +57,7 @@ class Keyframes:
     def append(
         self, seq: int, stamp_ns: int, T_local_lidar: Array, cloud: Cloud | None, follows: int | None = None
     ) -> None:
-        """Appends one; cloud None: it is in the store. follows None: the newest."""
+        """Appends one at T_local_lidar (4, 4); cloud None: it is in the store. follows None: the newest."""
         newest = len(self) - 1
         follows = newest if follows is None or not self else follows
         step_m = float(np.linalg.norm(T_local_lidar[:3, 3] - self._poses[follows][:3, 3])) if self else 0.0
@@ -71,12 +71,12 @@ class Keyframes:
         self.clouds.append(cloud)
 
     def replace_first(self, corners_lidar: NDArray[np.float32], surfs_lidar: NDArray[np.float32]) -> None:
-        """Keyframe 0 after it was deskewed again."""
+        """Keyframe 0 after it was deskewed again; features (N, 3)."""
         (cloud,) = self.clouds.get([0])
         self.clouds.replace(0, Cloud(corners_lidar, surfs_lidar, cloud.corners_intensity, cloud.surfs_intensity))
 
     def T_local(self, index: int) -> Array:
-        """Pose of a keyframe in `local`."""
+        """Pose (4, 4) of a keyframe in `local`."""
         return self._poses[index]
 
     def poses_local(self) -> Array:
@@ -84,7 +84,7 @@ class Keyframes:
         return self._poses.matrices
 
     def move(self, poses: Sequence[Array]) -> None:
-        """New poses for all, after `local` has become `map`."""
+        """New poses (4, 4) for all, after `local` has become `map`."""
         assert len(poses) == len(self)
         self._poses.matrices[:] = np.asarray(poses)
 

@@ -271,7 +271,7 @@ class Tracker:
     def insert(
         self, index: int, T_local_lidar: Array, corners_lidar: NDArray[np.float32], surfs_lidar: NDArray[np.float32]
     ) -> None:
-        """Adds keyframe `index` to the local map."""
+        """Adds keyframe `index` to the local map; T_local_lidar (4, 4), features (N, 3)."""
         self.local_map.insert(index, T_local_lidar, corners_lidar, surfs_lidar)
 
     def refer(self, T_local_keyframe: Array) -> None:
@@ -280,7 +280,7 @@ class Tracker:
         self.state = replace(self.state, T_local_keyframe=T_local_keyframe)
 
     def move(self, T_new_local: Array) -> None:
-        """`local` is renamed: everything the tracker holds moves along."""
+        """`local` is renamed, by T_new_local (4, 4): everything the tracker holds moves along."""
         self.doubt.move(T_new_local)
         self.carried.move(T_new_local)
         if self.state is not None:

@@ -37,7 +37,7 @@ class Uncertainty:
         motion_covariance: Array,
         T_local_keyframe: Callable[[int], Array],
     ) -> None:
-        """The next scan, with the tracker's state before it and the covariance of the motion predicted for it."""
+        """The next scan, with the tracker's state before it; motion_covariance: (6, 6), of what was predicted."""
         r = track.registration
         if before is None or r is None or not r.features:
             return
@@ -46,7 +46,7 @@ class Uncertainty:
         self._registered = r.covariance
 
     def pose(self, track: Track) -> Array:
-        """Of the pose in the frame of the first one: the map's where it was matched, and the registration's."""
+        """(6, 6) of the pose in the frame of the first one: the map's where it was matched, and the registration's."""
         r = track.registration
         if r is None:
             return self._map
@@ -54,7 +54,7 @@ class Uncertainty:
         return np.asarray(self._map + self.settings.doubt * covariance)
 
     def odometry(self, track: Track, motion: Array) -> Array:
-        """Of a registered keyframe's motion (4, 4) from the one that it follows."""
+        """(6, 6) of a registered keyframe's motion (4, 4) from the one that it follows."""
         s = self.settings.graph
         assert track.registration is not None
         translation = s.odometry_translation_m + s.odometry_translation_share * float(np.linalg.norm(motion[:3, 3]))
@@ -62,7 +62,7 @@ class Uncertainty:
         return track.registration.covariance + floor + self.drift.slip
 
     def since_lost(self, doubt: GraphSettings | DoubtSettings) -> Array:
-        """What being lost adds to the covariance of the way since the last keyframe.
+        """What being lost adds to the covariance (6, 6) of the way since the last keyframe.
 
         The robot was found in the map, so the graph doubts the joint by decimetres; of its way there nothing is known.
         """

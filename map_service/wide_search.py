@@ -137,6 +137,7 @@ class WideSearch:
 
 
 def distance_m(T_a: Array, T_b: Array) -> float:
+    """Between the origins of two poses (4, 4) in one frame."""
     return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
 
 

@@ -40,10 +40,11 @@ class Trajectory:
 
 
 def tum_line(stamp_ns: int, position_m: NDArray[np.float64], quat_xyzw: NDArray[np.float64]) -> str:
-    """One line; the stamp goes from int64 to 9 decimals without passing through a float."""
+    """A position (3,) and a unit quaternion (4,); the stamp goes from int64 to 9 decimals without a float between."""
     seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    numbers = " ".join(f"{value:.9f}" for value in (*position_m, *quat_xyzw))
-    return f"{seconds}.{nanoseconds:09d} {numbers}\n"
+    x, y, z = position_m.tolist()  # plain floats: numpy's take longer to write than to work out
+    qx, qy, qz, qw = quat_xyzw.tolist()
+    return f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

@@ -103,7 +103,10 @@ class MotionFilter:
         self._whiten_all = np.diag(1.0 / self._sigmas)
 
     def start(self, state: NavigationState, T_server_imu: Array, tilt_sigma_rad: float) -> None:
-        """Position and yaw define `odom`, tilt and velocity are as uncertain as they are."""
+        """At a scan whose pose in the server's odometry frame is T_server_imu (4, 4).
+
+        Position and yaw define `odom`, tilt and velocity are as uncertain as they are.
+        """
         self._first = state, T_server_imu, tilt_sigma_rad, (0.0 if self.wheels is None else self.wheels.scale)
         self._answers: list[_Answer] = []
         self._begin(np.zeros(len(_FIRST)))

@@ -37,7 +37,7 @@ class Gaps:
         self.count, self.seconds = 0, 0.0
 
     def seen(self, stamps_ns: NDArray[np.int64]) -> None:
-        """Takes the stamps of real samples."""
+        """Takes the stamps (M,) of real samples."""
         stamps = stamps_ns.tolist()
         known = stamps if self._last_ns is None else [self._last_ns, *stamps]
         periods = [after - before for before, after in pairwise(known) if after > before]

@@ -50,7 +50,7 @@ class Ring:
         return frame.dense and (newest_ns is None or frame.stamp_ns - newest_ns >= self._apart_ns)
 
     def add(self, frame: FeatureFrame, T_steady_lidar: Array, covariance: Array) -> tuple[Keyframe, Keyframe | None]:
-        """The new keyframe, and the one that had to go for it."""
+        """The new keyframe, at T_steady_lidar (4, 4) with covariance (6, 6), and the one that had to go for it."""
         sets = frame.corners, frame.surfs
         points = (s.points_lidar[rows] for s, rows in zip(sets, even_shares(sets, self._points), strict=True))
         made = Keyframe(self._count, frame.stamp_ns, T_steady_lidar, covariance, *points)
@@ -63,7 +63,7 @@ class Ring:
         self.keyframes.clear()
 
     def seen_by(self, indices: NDArray[np.int64]) -> list[tuple[Array, Array]]:
-        """Pose and covariance of each of these keyframes; of the oldest one for what went before it."""
+        """Pose (4, 4) and covariance (6, 6) of each of these keyframes; of the oldest for what went before it."""
         first = self.keyframes[0].index
         kept = [self.keyframes[max(i - first, 0)] for i in indices.tolist()] or [self.keyframes[-1]]
         return [(k.T_steady_lidar, k.covariance) for k in kept]

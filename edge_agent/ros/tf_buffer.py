@@ -58,7 +58,7 @@ class TfBuffer:
         self._lock = threading.Lock()
 
     def add(self, parent: str, child: str, stamp_ns: int, T_parent_child: Array, fixed: bool = False) -> None:
-        """One transform; a stamp that is not newer than the last is a clock set back: what was before is forgotten."""
+        """One transform (4, 4); a stamp older than the last is a clock set back: what was before is forgotten."""
         parent, child = parent.lstrip("/"), child.lstrip("/")
         with self._lock:
             edge = self._edges.get(child)

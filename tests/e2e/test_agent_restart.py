@@ -14,9 +14,8 @@ import grpc
 import numpy as np
 import pytest
 
-from edge_agent.outputs import tum_line
 from splitslam.evaluate import evaluate
-from splitslam.tum import read_tum
+from splitslam.tum import read_tum, tum_line
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from tests import tolerances as bars

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from edge_agent import _text_kernels as text_kernels
-from edge_agent.outputs import Outputs, tum_line
+from edge_agent.outputs import Outputs
 from edge_agent.types import OdometryReply, OdomPoses
 from splitslam import se3
 from splitslam.errors import InputError
+from splitslam.tum import tum_line
 from splitslam.wire import types_pb2 as types
 
 

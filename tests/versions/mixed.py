@@ -18,7 +18,7 @@ import grpc
 import numpy as np
 import yaml
 
-from edge_agent.outputs import tum_line
+from splitslam.tum import tum_line
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from tests.edge_agent.relay import CountingRelay
