@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
 from collections.abc import Mapping
 
 from edge_agent.ros import messages
@@ -9,6 +11,9 @@ from edge_agent.ros.codec import DIAGNOSTICS, TF
 from edge_agent.ros.connect import GraphClock
 from edge_agent.ros.graph import RELIABLE, TRANSFORMS, Graph, in_namespace
 from edge_agent.ros.settings import GraphSettings, RosSettings
+from splitslam.logs import fields
+
+_log = logging.getLogger(__name__)
 
 
 class Outlets:
@@ -29,5 +34,15 @@ class Outlets:
         self._send_diagnostics(self._codec.encode(message))
 
     def waiting(self, missing: str) -> None:
-        """That the agent has not begun, for want of this."""
-        self.say(f"waiting for {missing}", messages.WARN, {})
+        """That the agent has not begun, for want of this; the wait goes on where nobody can be told."""
+        try:
+            self.say(f"waiting for {missing}", messages.WARN, {})
+        except Exception as error:
+            note_not_sent(error, self.graph.lost)
+
+
+def note_not_sent(error: Exception, dropped: Counter[str]) -> None:
+    """A middleware that fails (each has errors of its own) costs a message, which is counted; the first is logged."""
+    if not dropped["ros_not_sent"]:
+        _log.warning("message not sent to ROS", extra=fields(problem=" ".join(f"{error}".split())))
+    dropped["ros_not_sent"] += 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections import Counter, deque
@@ -18,7 +17,7 @@ from edge_agent.ros.base_samples import BaseSample, BaseSampler, Belief
 from edge_agent.ros.codec import TF
 from edge_agent.ros.connect import join
 from edge_agent.ros.graph import STATIC, TRANSFORMS
-from edge_agent.ros.outlets import Outlets
+from edge_agent.ros.outlets import Outlets, note_not_sent
 from edge_agent.ros.owner import OdomOwner
 from edge_agent.ros.settings import RosSettings
 from edge_agent.ros.source import RosSource
@@ -26,7 +25,6 @@ from edge_agent.sources.source import Source
 from edge_agent.types import OdomPoses
 from edge_agent.wire import state_name
 from splitslam import se3
-from splitslam.logs import fields
 from splitslam.robot import Robot
 
 if TYPE_CHECKING:
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Report = Callable[[], Mapping[str, object]]
-_log = logging.getLogger(__name__)
 _KEPT_SAMPLES = 500  # of ours, until the other odometry has come as far
 _LEVELS = {"tracking": messages.OK, "lost": messages.ERROR}  # all others: WARN
 
@@ -116,13 +113,10 @@ class RosOutput:
                 self._try(self._send_status, *self._status())
 
     def _try(self, send: Callable[..., None], *arguments: object) -> None:
-        """A middleware that fails costs a message, not the run."""
         try:
             send(*arguments)
-        except Exception as error:  # of three middlewares, each with errors of its own
-            if not self.dropped["ros_not_sent"]:
-                _log.warning("message not sent to ROS", extra=fields(problem=" ".join(f"{error}".split())))
-            self.dropped["ros_not_sent"] += 1
+        except Exception as error:
+            note_not_sent(error, self.dropped)
 
     def _send(self, sample: BaseSample) -> None:
         self._state = sample.state

@@ -123,6 +123,14 @@ def test_the_agents_own_topics_are_there_before_the_sensors_and_diagnostics_say_
     assert graph.sent["/diagnostics"][0].status[0].level == messages.WARN
 
 
+def test_a_middleware_that_takes_no_diagnostics_does_not_end_the_wait_for_the_sensors():
+    graph = FakeGraph()
+    graph.broken = True
+    with pytest.raises(InputError, match="no scans: expected a topic"):
+        source(graph)
+    assert graph.lost["ros_not_sent"] > 0
+
+
 def test_an_agent_that_publishes_nothing_has_no_topics():
     graph = Robot()
     source(graph, ros=RosSettings(publish=False))
