@@ -124,7 +124,7 @@ class Doubt:
         """Does the scan fit clearly better at another place, or has it been refused for too long?"""
         s, d = self.settings, self.state
         others = [p for p in places if distance_m(p.T_local_lidar, here.T_local_lidar) > s.apart_m]
-        if any(self._in_question(p) and p.fit.score > s.clear_ratio * here.fit.score for p in others):
+        if any(p.fit.tells and self._in_question(p) and p.fit.score > s.clear_ratio * here.fit.score for p in others):
             return True
         return d.doubted > s.patience_scans
 
@@ -156,12 +156,16 @@ class Doubt:
         d.wait -= 1
         return None if d.wait > 0 else (T_carried, d.T_local_lost)[d.searches % 2]
 
-    def consider(self, places: list[Place]) -> None:
-        """Takes the outcome of a search: all places that come into question are followed from now on."""
+    def consider(self, places: list[Place], here: Place | None = None) -> None:
+        """Takes the outcome of a search: all places that come into question are followed from now on.
+
+        Of those where the scan would lie as well a bit further there is no end, so only `here`, which was not searched.
+        """
         s, d = self.settings, self.state
         d.searches += 1
         d.wait = min(s.search_scans * d.searches, s.search_limit_scans)
-        for p in filter(self._in_question, places):
+        telling = [p for p in places if p.fit.tells]
+        for p in filter(self._in_question, telling if here is None else [here, *telling]):
             if all(distance_m(p.T_local_lidar, h.T_local_lidar) > s.apart_m for h in d.hypotheses):
                 d.hypotheses.append(Hypothesis(p.T_local_lidar, p.fit.score, 0))
         d.hypotheses = sorted(d.hypotheses, key=lambda h: -h.score)[: s.hypotheses]
@@ -170,12 +174,16 @@ class Doubt:
         """Takes how the next scan fits at each hypothesis; the index of the one that is the robot's place, if clear.
 
         A place that has not fitted for some scans is dropped. Where two go on fitting neither is believed, nor when one
-        is dropped later: it may be the true one, which has come to new ground, while the other follows old ground.
+        is dropped later: it may be the true one, which has come to new ground, while the other follows old ground. A
+        scan that would lie anywhere says nothing for or against one of several places.
         """
         s, d = self.settings, self.state
+        several = len(outcomes) > 1
         for i, place in enumerate(outcomes):
             before = d.hypotheses[i].confirmed
             count = max(before, 0) + 1 if self.fits(place.fit) else min(before, 0) - 1
+            if several and not place.fit.tells:
+                count = before
             d.hypotheses[i] = Hypothesis(place.T_local_lidar, place.fit.score, count)
         d.ambiguous |= sum(h.confirmed >= s.ambiguous_scans for h in d.hypotheses) > 1
         alive = [i for i, h in enumerate(d.hypotheses) if h.confirmed > -s.confirm_scans]
@@ -184,6 +192,7 @@ class Doubt:
             best is not None
             and not d.ambiguous
             and d.hypotheses[best].confirmed >= s.confirm_scans
+            and (outcomes[best].fit.tells or not several)
             and all(d.hypotheses[best].score > s.clear_ratio * d.hypotheses[i].score for i in alive if i != best)
         )
         d.hypotheses = [d.hypotheses[i] for i in alive]

@@ -27,6 +27,7 @@ _VERSION = 1
 _OFFSET_FIXES = 4
 _TOGETHER = 20  # odometry factors taken in at once: an update looks at every pose, whatever is new
 _FIXED = 1e-4  # rad and m: what defines `map`
+_STILL = 1e-6  # less than that is the optimiser's rounding
 
 
 class PoseGraph:
@@ -50,6 +51,7 @@ class PoseGraph:
         self.records: list[FactorRecord] = []  # those that somebody may still ask for
         self._records_let_go = 0
         self.poses = Poses()
+        self.T_map_first = np.eye(4)  # of keyframe 0, as it was answered
         self.drifts: list[Array] = []  # covariance (6, 6) of the local map at each keyframe, see drift.py
         self.loops: list[tuple[int, int]] = []  # (older, newer) keyframes
         self.follows: dict[int, int] = {}  # keyframe -> the one its odometry starts from, where that is not the last
@@ -145,6 +147,7 @@ class PoseGraph:
             self.drifts.append(np.reshape(p["drift"], (6, 6)) if "drift" in p else np.eye(6) * _FIXED**2)
         if kind == "prior":
             pose, tilt = _square(p["pose"]), p.get("tilt", _FIXED)
+            self.T_map_first = pose
             covariance = np.eye(6) * _FIXED**2
             # tangents are the robot's axes, tilt is about those of `map`
             covariance[:3, :3] = pose[:3, :3].T @ np.diag([tilt**2, tilt**2, _FIXED**2]) @ pose[:3, :3]
@@ -239,6 +242,18 @@ class PoseGraph:
     def _take_in(self) -> None:
         self._isam.update(self._graph, self._values)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+
+    def turned(self, T_map_lidar: Array) -> Array:
+        """(6, 6): what a pose (4, 4) is off by in the frame of the first one as it was answered, squared.
+
+        Levelling and GNSS turn the map about its origin. That was an error before, and is one against all that was
+        answered then: by how much is known, but whoever holds those answers does not know it.
+        """
+        if not len(self.poses) or np.abs(self.poses[0] - self.T_map_first).max() < _STILL:
+            return np.zeros((6, 6))
+        as_before = self.T_map_first @ se3.inv(self.poses[0]) @ T_map_lidar
+        off = se3.log(se3.inv(T_map_lidar) @ as_before)
+        return np.outer(off, off)
 
     def tilt_sigma_rad(self, keyframe: int) -> float:
         """How well the graph knows what is level at a keyframe."""

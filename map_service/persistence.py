@@ -125,6 +125,7 @@ def dump(pipeline: MapPipeline) -> bytes:
             "twist": state.twist.tolist(),
             "base_twist": state.base_twist.tolist(),
             "bad_frames": state.bad_frames,
+            "twist_spread": state.twist_spread.tolist(),
             "carried_sigma": state.carried_sigma.tolist(),
             "doubt": pipeline.tracker.doubt.dump(),
             "carried": pipeline.tracker.carried.dump(),
@@ -175,6 +176,7 @@ def load(pipeline: MapPipeline, snapshot: Snapshot) -> None:
         np.array(data["base_twist"]),
         int(data["bad_frames"]),
         snapshot.last_seq,
+        twist_spread=np.array(data.get("twist_spread", np.zeros(6))),
         carried_sigma=np.array(data.get("carried_sigma", np.zeros(6))),
     )
     if "doubt" in data:  # sessions of 0.1.0 have none

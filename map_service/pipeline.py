@@ -265,13 +265,13 @@ class MapPipeline:
         self, frame: FeatureFrame, track: Track, keyframe: bool, started: Moment, registered: Moment
     ) -> MapAnswer:
         r, correction = track.registration, self._correction
-        self._correction = None
+        T_map_lidar, self._correction = self.map_frame.T_map_local @ track.T_local_lidar, None
         return MapAnswer(
             seq=frame.seq,
             stamp_ns=frame.stamp_ns,
-            T_map_lidar=self.map_frame.T_map_local @ track.T_local_lidar,
+            T_map_lidar=T_map_lidar,
             T_map_odom=self.map_frame.T_map_odom,
-            covariance=self.uncertainty.pose(track),
+            covariance=self.uncertainty.pose(track) + self.graph.turned(T_map_lidar),
             state=track.state,
             degenerate_axes=np.zeros((0, 6)) if r is None else r.degenerate_axes,
             correction=correction,

@@ -72,13 +72,32 @@ class ScanAlignment:
         It does while the edge has no velocity yet, and always when there is no IMU: the edge's twist is then two
         scans old, the server's one.
         """
-        inertial = frame.motion.gravity_sigma_rad < NO_IMU_SIGMA_RAD
-        if not self._redeskew or state.frames < 2 or (inertial and frame.motion.velocity_known):
+        if not self._knows_better(frame, state):
             return state.base_twist
         base = state.twist - se3.log(frame.motion.T_prev_lidar) / interval_s
-        if inertial:
+        if _inertial(frame):
             base[:3] = 0.0
         return base
+
+    def _knows_better(self, frame: FeatureFrame, state: TrackerState) -> bool:
+        known = _inertial(frame) and frame.motion.velocity_known
+        return self._redeskew and state.frames >= 2 and not known
+
+    def deskew_doubted(
+        self, frame: FeatureFrame, state: TrackerState, result: RegistrationResult, twist_spread: Array
+    ) -> RegistrationResult:
+        """The result, of a scan after `state`, with what its deskew may have put the pose off by.
+
+        The server's twist is that of the way to the scan, not of the scan itself: it is off by what a twist changes
+        from one to the next, twist_spread (6,), squared. A point is then off by that for its time, in the mean alike.
+        """
+        if not self._knows_better(frame, state) or not result.features:
+            return result
+        times_s = np.concatenate([_seconds(frame.corners), _seconds(frame.surfs)])
+        variances = twist_spread * float(times_s.mean()) ** 2
+        if _inertial(frame):
+            variances[:3] = 0.0
+        return replace(result, covariance=result.covariance + np.diag(variances))
 
     def backward(self, frame: FeatureFrame, later: Later) -> RegistrationResult:
         """The scan before one that is placed, from that one's motion backwards in time."""
@@ -100,6 +119,10 @@ class ScanAlignment:
         information = np.diag(1.0 / ((sigmas * interval_s) ** 2 + self._floors**2))
         prediction = Prediction(T, information, interval_s, float(sigmas[:3].max()), sigmas[3:])
         return self._register(frame, prediction, base, self._redeskew)
+
+
+def _inertial(frame: FeatureFrame) -> bool:
+    return frame.motion.gravity_sigma_rad < NO_IMU_SIGMA_RAD
 
 
 def deskewed_again(features: FeatureSet, delta_twist: Array) -> NDArray[np.float32]:

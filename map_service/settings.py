@@ -70,6 +70,7 @@ class TrackerSettings(Model):
     start_acceleration_mps2: float = 5.0
     start_rotation_radps2: float = 5.0
     bootstrap_iterations: int = 4
+    twist_spread_gain: float = Field(default=0.5, description="of the newest change in the mean of what a twist does")
     unseen_m: float = Field(default=2.0, description="1 sigma of a motion after which a scan is looked for all around")
     carried_m: float = Field(default=0.1, description="1 sigma that frames without points may add up to in tracking")
     min_inliers: int = 60

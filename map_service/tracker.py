@@ -166,7 +166,7 @@ class Tracker:
         """Nobody saw how the robot came here: however well the scan fits at once, the next ones have to agree."""
         places = self.search.places(self.local_map, frame, result.T_local_lidar)
         self.doubt.lose(state.T_local_lidar)
-        self.doubt.consider([self.search.at(self.local_map, frame, result.T_local_lidar), *places])
+        self.doubt.consider(places, self.search.at(self.local_map, frame, result.T_local_lidar))
         return self._carry(frame, state, result)
 
     def _look_around(self, frame: FeatureFrame, before: TrackerState, state: TrackerState) -> Track:
@@ -251,7 +251,10 @@ class Tracker:
         else:
             status = State.TRACKING
         interval_s = max((frame.stamp_ns - state.stamp_ns) * 1e-9, 1e-3)
-        twist = se3.log(se3.inv(state.T_local_lidar) @ T) / interval_s
+        twist, spread = se3.log(se3.inv(state.T_local_lidar) @ T) / interval_s, state.twist_spread
+        if state.frames > 1:
+            spread = spread + s.twist_spread_gain * ((twist - state.twist) ** 2 - spread)
+        result = self._alignment.deskew_doubted(frame, state, result, spread)
         self.state = TrackerState(
             T,
             T if keyframe else state.T_local_keyframe,
@@ -261,6 +264,7 @@ class Tracker:
             np.zeros(6),
             bad_frames,
             frame.seq,
+            twist_spread=spread,
         )
         # only a keyframe's points are asked for again
         delta = result.delta_twist if keyframe and self.redeskew else np.zeros(6)

@@ -23,4 +23,5 @@ class TrackerState:
     bad_frames: int
     seq: int
     hole_s: float = 0.0  # time bridged by the last twist instead of measured motion
+    twist_spread: Array = field(default_factory=lambda: np.zeros(6))  # mean square change from motion to motion
     carried_sigma: Array = field(default_factory=lambda: np.zeros(6))  # of the motion since the last frame with points

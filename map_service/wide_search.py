@@ -18,21 +18,29 @@ from splitslam import se3
 from splitslam.features import FeatureFrame
 from splitslam.registration.align import Prediction, Registration, RegistrationResult
 from splitslam.registration.local_map import LocalMap
+from splitslam.registration.settings import RegistrationSettings
 
 Array = NDArray[np.float64]
+_LEVER_M = RegistrationSettings().lever_m
+_LEAST_SHARE = 0.02  # 0.05 and more wherever there is more than one wall, 0.004 and less where there is not
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well a scan fits. score: mean over its features of 1 - (r / 3)^2, r in sigmas, nothing beyond 3 (MSAC)."""
+    """How well a scan fits. score: mean over its features of 1 - (r / 3)^2, r in sigmas, nothing beyond 3 (MSAC).
+
+    tells: does the fit depend on the place? One wall lies as well on any other.
+    """
 
     score: float
     features: int
+    tells: bool = True
 
     @classmethod
     def of(cls, result: RegistrationResult) -> Fit:
         features = max(result.features, 1)
-        return cls(result.inliers * (1.0 - result.error**2 / 9.0) / features, features)
+        score = result.inliers * (1.0 - result.error**2 / 9.0) / features
+        return cls(score, features, _tells(result))
 
     @property
     def octave(self) -> int:
@@ -134,6 +142,20 @@ class WideSearch:
             ):
                 chosen.append(int(i))
         return chosen
+
+
+def _tells(result: RegistrationResult) -> bool:
+    """Does the scan observe what places differ in, along the ground and about the vertical?
+
+    The normals of one wall's fits waver by a degree or two, and so seem to say where along it a scan is: what counts is
+    that direction's information against that of the clearest one.
+    """
+    H, up = result.information, result.T_local_lidar[2, :3]
+    level = np.zeros((6, 3))  # of these directions, in metres at a lever
+    level[:3, 0] = up / _LEVER_M
+    level[3:, 1:] = result.T_local_lidar[:2, :3].T
+    least, largest = np.linalg.eigvalsh(np.stack([level.T @ H @ level, H[3:, 3:]]))[[0, 1], [0, 2]]
+    return bool(least > _LEAST_SHARE * largest)
 
 
 def distance_m(T_a: Array, T_b: Array) -> float:

@@ -57,13 +57,15 @@ class Receiver:
 
 @dataclass(frozen=True)
 class Outcome:
-    """online: (n, 4, 4) T_map_lidar as answered; final: (n, 4, 4); corrections as reported."""
+    """online: (n, 4, 4) T_map_lidar as answered, and its covariances (n, 6, 6); final: (n, 4, 4); corrections as
+    reported."""
 
     pipeline: MapPipeline
     truth: np.ndarray
     online: np.ndarray
     final: np.ndarray
     corrections: list[CorrectionRecord]
+    covariances: np.ndarray
 
     def moved_m(self, other: Outcome) -> float:
         """The largest difference between what two runs answered."""
@@ -190,7 +192,7 @@ def driven(
     pipeline = MapPipeline(*parts)
     pipeline.tracker = ToldTracker(odometry)
     arriving = deque(given)
-    online, corrections = [], []
+    online, corrections, covariances = [], [], []
     for index, frame in enumerate(frames(truth, odometry, rate_hz)):
         if index == restart_at:
             snapshot = _committed(pipeline)
@@ -203,10 +205,11 @@ def driven(
             now.append(arriving.popleft())
         answer = pipeline.process(frame, now)
         online.append(answer.T_map_lidar)
+        covariances.append(answer.covariance)
         if answer.correction is not None:
             corrections.append(answer.correction)
     final = np.array([T for *_, T in pipeline.trajectory()])
-    return Outcome(pipeline, truth, np.array(online), final, corrections)
+    return Outcome(pipeline, truth, np.array(online), final, corrections, np.array(covariances))
 
 
 def _committed(pipeline: MapPipeline) -> Snapshot:

@@ -42,6 +42,16 @@ def test_levelling_turns_the_drive_and_does_not_bend_it():
     assert outcome.ate_m(outcome.final) < 1e-3
 
 
+def test_answers_after_levelling_doubt_what_those_before_it_have_in_common_with_them():
+    truth = ahead(80.0, 2.0)
+    outcome = driven(truth, [], TILTED)
+    turned = outcome.online[-1][:3, :3] @ truth[-1][:3, :3].T @ truth[0][:3, :3] @ outcome.online[0][:3, :3].T
+    sigmas = np.sqrt(np.diag(outcome.covariances[-1]))
+    assert np.linalg.norm(se3.so3_log(turned)) > 0.5 * TILT  # by so much the first answer was wrong, and nobody knew
+    assert np.linalg.norm(sigmas[:3]) == pytest.approx(np.linalg.norm(se3.so3_log(turned)), rel=0.1)
+    assert sigmas[5] > 0.5 * TILT * 80.0
+
+
 def test_a_map_that_is_level_enough_is_left_alone():
     truth = ahead(80.0, 2.0)
     outcome = driven(truth, [], Odometry(first_tilt_rad=0.006))
@@ -127,6 +137,7 @@ def test_a_gravity_factor_levels_the_graph_about_its_origin_and_survives_a_resta
         graph.add_odometry(b, se3.inv(a) @ b, np.diag(np.repeat([1e-4**2, 1e-3**2], 3)))
         graph.optimise(corrected=False)
     before = graph.tilt_sigma_rad(19)
+    assert not graph.turned(tilted[19]).any()
     graph.add_gravity(19, DOWN, 0.001)
     graph.optimise(corrected=True)
     assert before == pytest.approx(0.1, rel=0.05)
@@ -134,6 +145,11 @@ def test_a_gravity_factor_levels_the_graph_about_its_origin_and_survives_a_resta
     assert tilt_rad(np.array(graph.poses), np.tile(np.eye(4), (20, 1, 1))).max() < 1e-4
     again = PoseGraph.restore(GraphSettings(), list(graph.records), list(graph.poses))
     np.testing.assert_allclose(np.array(again.poses), np.array(graph.poses), atol=1e-6)
+    np.testing.assert_allclose(again.turned(again.poses[19]), graph.turned(graph.poses[19]), atol=1e-6)
+    # against the first answer, which was askew, the last pose is turned, and 19 m away lifted by as much
+    off = se3.log(se3.inv(graph.poses[19]) @ tilted[19])
+    assert off[1] == pytest.approx(TILT, rel=0.01)
+    np.testing.assert_allclose(graph.turned(graph.poses[19]), np.outer(off, off), atol=1e-3)
 
 
 def test_a_prior_of_an_older_session_is_as_tight_as_it_was():

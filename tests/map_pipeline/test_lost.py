@@ -17,12 +17,14 @@ from map_service.settings import DoubtSettings, PipelineSettings
 from map_service.types import Cause, MapAnswer, State
 from map_service.wide_search import Fit, Place
 from splitslam import se3
+from splitslam.features import FeatureFrame
 from splitslam.robot import Robot
 from tests.map_pipeline.test_tracker import STEP, features, frame
 
 T_START = se3.compose(np.eye(3), np.array([-1.0, -0.5, 1.2]))
 KIDNAP = se3.exp(np.array([0, 0, 0.6, 1.5, -2.0, 0.0]))  # 2.5 m, 34 degrees
 USUAL = 20  # scans before anything happens
+NEVER = 99
 
 
 class NoLoops(LoopVerifier):
@@ -45,8 +47,9 @@ def drive(service: MapPipeline, seqs: range, rng: np.random.Generator) -> list[M
     return [service.process(frame(seq, truth(seq), rng)) for seq in seqs]
 
 
-def error_m(answer: MapAnswer) -> float:
-    return float(np.linalg.norm((se3.inv(answer.T_map_lidar) @ se3.inv(truth(1)) @ truth(answer.seq))[:3, 3]))
+def error_m(answer: MapAnswer, kidnapped_at: int = USUAL + 1) -> float:
+    T = se3.inv(truth(1)) @ truth(answer.seq, kidnapped_at)
+    return float(np.linalg.norm((se3.inv(answer.T_map_lidar) @ T)[:3, 3]))
 
 
 def test_a_kidnapped_robot_is_lost_at_once_and_found_three_scans_later():
@@ -174,6 +177,29 @@ def test_someone_in_the_way_makes_no_lost_robot():
     assert states[-1] == State.TRACKING
 
 
+def facing_a_wall(seq: int, rng: np.random.Generator) -> FeatureFrame:
+    """Scans up to USUAL lack the left half of the wall at x = 6 m, the six after them show nothing but its middle."""
+    seen, T = frame(seq, truth(seq, NEVER), rng), truth(seq, NEVER)
+    if USUAL < seq <= USUAL + 6:
+        wall = np.column_stack([rng.normal(6.0, 0.01, 900), rng.uniform(-1.2, 1.6, 900), rng.uniform(0.5, 2.0, 900)])
+        return replace(seen, corners=features(np.zeros((0, 3))), surfs=features((wall - T[:3, 3]) @ T[:3, :3]))
+    surfs = seen.surfs.points_lidar
+    x, y, _ = (surfs @ T[:3, :3].T + T[:3, 3]).T
+    return replace(seen, surfs=features(surfs[(x < 5.8) | (y < -0.5)])) if seq <= USUAL else seen
+
+
+def test_a_robot_that_faces_one_wall_is_not_taken_to_another():
+    """Most of what it sees is new; elsewhere, along any wall, the scan would fit as a whole."""
+    service, rng = pipeline(), np.random.default_rng(4)
+    answers = [service.process(facing_a_wall(seq, rng)) for seq in range(1, USUAL + 14)]
+    states = [a.state for a in answers]
+    assert State.LOST not in states
+    assert State.LOCALISING not in states
+    assert states[USUAL : USUAL + 6] == [State.DEGENERATE] * 6
+    assert states[-5:] == [State.TRACKING] * 5
+    assert max(error_m(a, NEVER) for a in answers) < 0.1
+
+
 def places(*scores: float) -> list[Place]:
     return [Place(se3.compose(np.eye(3), np.array([5.0 * i, 0, 0])), Fit(s, 1500)) for i, s in enumerate(scores)]
 
@@ -197,6 +223,24 @@ def test_a_place_that_stands_out_is_believed_after_three_scans():
     doubt = lost_doubt()
     doubt.consider(places(0.8, 0.5))
     assert [doubt.confirm(places(0.8, 0.4)) for _ in range(3)] == [None, None, 0]
+
+
+def test_a_scan_that_fits_anywhere_is_no_reason_to_go_elsewhere():
+    doubt = lost_doubt()
+    doubt.found()
+    here, there = places(0.2, 0.8)
+    assert doubt.is_elsewhere(here, [there])
+    assert not doubt.is_elsewhere(here, [replace(there, fit=replace(there.fit, tells=False))])
+
+
+def test_a_scan_that_fits_anywhere_decides_nothing_between_two_places():
+    doubt = lost_doubt()
+    doubt.consider(places(0.8, 0.7))
+    assert [doubt.confirm(places(0.8, 0.78)) for _ in range(3)] == [None] * 3
+    blind = [replace(p, fit=replace(p.fit, tells=False)) for p in places(0.8, 0.1)]
+    assert [doubt.confirm(blind) for _ in range(5)] == [None] * 5
+    assert len(doubt.state.hypotheses) == 2
+    assert doubt.confirm(places(0.8, 0.1)) == 0
 
 
 def test_scans_with_many_more_features_have_a_level_of_their_own():

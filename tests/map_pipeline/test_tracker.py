@@ -109,6 +109,42 @@ def test_with_nothing_to_see_the_edge_s_motion_carries_on_until_lost():
     assert states[-1] == State.LOST
 
 
+def turning(seq: int, T: np.ndarray, yaw_radps: float, rng: np.random.Generator) -> FeatureFrame:
+    """Without an IMU, as one who turns at yaw_radps while the scan is taken, and who deskews by no motion at all."""
+    seen = frame(seq, T, rng)
+
+    def skewed(points: FeatureSet) -> FeatureSet:
+        angle = -yaw_radps * points.t_offset_ns * 1e-9
+        x, y, z = points.points_lidar.T
+        turned = np.column_stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z])
+        return features(turned, points.t_offset_ns)
+
+    covariance = np.diag(np.repeat([0.05**2, 0.05**2], 3))
+    motion = replace(seen.motion, T_prev_lidar=np.eye(4), covariance=covariance, gravity_sigma_rad=0.5)
+    return replace(seen, motion=motion, corners=skewed(seen.corners), surfs=skewed(seen.surfs))
+
+
+def test_a_head_turn_without_an_imu_is_doubted_by_what_the_deskew_is_off():
+    """A scan is deskewed by the motion before it: at 4 rad/s2 its points lie 20 mrad off in the mean."""
+    tracker, rng = Tracker(TrackerSettings(), redeskew=True), np.random.default_rng(1)
+    T0, yaw_rad = se3.compose(np.eye(3), np.array([-1.0, -0.5, 1.2])), 0.0
+    in_sigmas, errors_rad = [], []
+    for seq in range(1, 22):
+        T = T0 @ se3.exp(np.array([0, 0, yaw_rad, 0, 0, 0]))
+        now_radps = 0.0 if seq < 8 else 0.4 * (seq - 7) if seq < 15 else 0.4 * (21 - seq)
+        track = tracker.process(turning(seq, T, now_radps, rng))
+        if track.keyframe:
+            tracker.insert(seq, track.T_local_lidar, track.corners_lidar, track.surfs_lidar)
+        if track.registration is not None:
+            error = se3.log(se3.inv(T0 @ track.T_local_lidar) @ T)[2]
+            errors_rad.append(abs(error))
+            in_sigmas.append(error / np.sqrt(track.registration.covariance[2, 2]))
+        yaw_rad += now_radps * SCAN_NS * 1e-9
+    assert max(errors_rad) > 0.01  # it does happen
+    assert np.mean(np.square(in_sigmas)) < 2.0
+    assert max(errors_rad[:6]) < 0.002
+
+
 def bare(frame: FeatureFrame) -> FeatureFrame:
     nothing = features(np.zeros((0, 3)))
     return replace(frame, dense=False, corners=nothing, surfs=nothing)
