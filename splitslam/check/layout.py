@@ -163,8 +163,8 @@ def _beams(layout: Layout, known_rad: NDArray[np.floating] | None) -> list[Findi
     return [
         Finding(
             "lidar.beam_elevations_deg",
-            f"{len(wrong)} of {len(off_deg)} rings lie elsewhere, ring {worst} by {off_deg[worst]:.1f} deg{hint}",
-            f"ring {worst} at {np.degrees(layout.elevations_rad[worst]):.1f} deg",
+            f"{len(wrong)} of {len(off_deg)} rings lie elsewhere, ring {worst} by {off_deg[worst]:z.1f} deg{hint}",
+            f"ring {worst} at {np.degrees(layout.elevations_rad[worst]):z.1f} deg",
         )
     ]
 

@@ -113,7 +113,7 @@ def findings(mounting: Mounting, scan_period_s: float) -> list[Finding]:
 
 def _rotation(m: Mounting) -> list[Finding]:
     out = []
-    about = f"[{', '.join(f'{v:.2f}' for v in m.axis)}]"
+    about = f"[{', '.join(f'{v:z.2f}' for v in m.axis)}]"
     if m.angle_deg > max(ROTATION_LIMIT_DEG, _SURE_SIGMAS * m.sigma_deg):
         known = "" if m.unknown_axis is None else f"; about {_axis_name(m.unknown_axis)} the motion does not tell"
         out.append(
@@ -149,15 +149,15 @@ def _delay(m: Mounting, scan_period_s: float) -> list[Finding]:
         within = (
             f"within one sample of this IMU ({m.delay_limit_s * 1e3:.0f} ms), whose stamp may mean its start or end"
         )
-        return [note("imu.time_offset_ns", f"the motion says {off_s * 1e3:+.0f} ms beside the robot file: {within}")]
+        return [note("imu.time_offset_ns", f"the motion says {off_s * 1e3:+z.0f} ms beside the robot file: {within}")]
     hint = ""
     if abs(abs(off_s) - scan_period_s) < 0.25 * scan_period_s:
         hint = "; it is about one scan: is lidar.stamp (start or end) right?"
     return [
         Finding(
             "imu.time_offset_ns",
-            f"{round(m.stated_offset_s * 1e9)}, but the motion says {m.time_offset_s * 1e3:.1f} ms"
-            f" (+- {m.time_sigma_s * 1e3:.1f}): off by {off_s * 1e3:+.1f} ms{hint}",
+            f"{round(m.stated_offset_s * 1e9)}, but the motion says {m.time_offset_s * 1e3:z.1f} ms"
+            f" (+- {m.time_sigma_s * 1e3:.1f}): off by {off_s * 1e3:+z.1f} ms{hint}",
             f"about {round(m.time_offset_s * 1e4) * 100_000}",
         )
     ]
@@ -183,9 +183,9 @@ def _axis_name(axis: Array) -> str:
     k = int(np.argmax(np.abs(axis)))
     if abs(axis[k]) > 0.94:  # 20 degrees
         return f"the lidar's {_NAMES[k]} axis"
-    return f"axis [{', '.join(f'{v:.2f}' for v in axis)}] of the lidar"
+    return f"axis [{', '.join(f'{v:z.2f}' for v in axis)}] of the lidar"
 
 
 def _matrix(R: Array) -> str:
-    rows = (", ".join(f"{v:.4f}" for v in row) for row in R + 0.0)
+    rows = (", ".join(f"{v:z.4f}" for v in row) for row in R)
     return f"[[{'], ['.join(rows)}]]"

@@ -94,7 +94,7 @@ def findings(found: TimeShare | None) -> list[Finding]:
     """What to say about it: nothing when times are right or the motion does not tell."""
     if found is None or found.sigma > _SURE:
         return []
-    told = f"planes are thinnest when points move by {found.share:.2f} +- {found.sigma:.2f} times their time"
+    told = f"planes are thinnest when points move by {found.share:z.2f} +- {found.sigma:.2f} times their time"
     where = "lidar.point_times"
     if found.share < -1.0 + _MARGIN:
         return [Finding(where, f"{told}: times run against the sense in which the sensor turns", "mirrored")]

@@ -104,7 +104,7 @@ def _estimates(report: Report) -> Table:
     table.add_row("range m", ranges, f"{lidar.min_range_m:g} to {lidar.max_range_m:g}")
     table.add_row("points of a scan span ms", f"{seen.span_s * 1e3:.1f}", f"{1e3 / lidar.rate_hz:.1f}")
     if (times := report.point_times) is not None:
-        table.add_row("points move by so much of their time", f"{times.share:.2f} +- {times.sigma:.2f}", "1")
+        table.add_row("points move by so much of their time", f"{times.share:z.2f} +- {times.sigma:.2f}", "1")
     table.add_row("points that are NaN", f"{seen.nan_share:.0%}", "")
     if report.imu is not None:
         table.add_row("gravity m/s^2", f"{report.imu.gravity_mps2:.3f}", f"{report.robot.gravity_mps2:g}")
@@ -119,8 +119,8 @@ def _add_mounting(table: Table, place: Mounting | None) -> None:
     known = "" if place.unknown_axis is None else ", one axis unknown"
     off = f"{place.angle_deg:.2f} +- {place.sigma_deg:.2f} away{known}"
     table.add_row("rotation of T_lidar_imu deg", off, "0")
-    offset = f"{place.time_offset_s * 1e3:.1f} +- {place.time_sigma_s * 1e3:.1f}"
-    table.add_row("IMU time offset ms", offset, f"{place.stated_offset_s * 1e3:g}")
+    offset = f"{place.time_offset_s * 1e3:z.1f} +- {place.time_sigma_s * 1e3:.1f}"
+    table.add_row("IMU time offset ms", offset, f"{place.stated_offset_s * 1e3:zg}")
 
 
 def _table_one(report: Report) -> Table:
@@ -128,6 +128,6 @@ def _table_one(report: Report) -> Table:
     assert row is not None
     table = Table("scans", "elevation change m", "trajectory length m", "max rotation speed deg/s")
     table.title = f"Table I, first {report.recorded_s:.0f} s"
-    numbers = (f"{row.elevation_change_m:.1f}", f"{row.path_m:.0f}", f"{row.max_rotation_degps:.1f}")
+    numbers = (f"{row.elevation_change_m:z.1f}", f"{row.path_m:.0f}", f"{row.max_rotation_degps:.1f}")
     table.add_row(str(row.scans), *numbers)
     return table
