@@ -257,6 +257,7 @@ main() {
     check_machine
     if [[ $ROLLBACK ]]; then
         VERSION=$(version_of previous)
+        [[ -L $BASE/current ]] || die "--rollback: no version is installed in $BASE"
         [[ $VERSION ]] || die "--rollback: there is no version before $(version_of current)"
         switch_to "$VERSION"
         restart ''

@@ -225,6 +225,12 @@ def test_what_cannot_be_done_is_one_line_and_changes_nothing(root: Path, empty: 
     (root / "opt/splitslam/previous").unlink()
     done = install("--rollback", "--root", root)
     assert done.stderr == f"install.sh: --rollback: there is no version before {SECOND}\n"
+    (root / "opt/splitslam/current").unlink()
+    done = install("--rollback", "--root", root)
+    assert (done.returncode, done.stderr) == (
+        2,
+        f"install.sh: --rollback: no version is installed in {root}/opt/splitslam\n",
+    )
 
 
 REFUSED = [
