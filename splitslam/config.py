@@ -98,14 +98,27 @@ def parse_yaml(text: str, name: str) -> dict[str, Any]:
     except (ValueError, OverflowError) as error:  # of a scalar that looks like a number and is none
         raise InputError(f"{name}: not valid YAML: {error}"[:300]) from error
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"{name}{where}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
+        raise InputError(f"{name}{_where(error)}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
     if data is None:
         return {}
     if not isinstance(data, dict):
         raise InputError(f"{name}: expected keys and values, found {type(data).__name__}")
     return data
+
+
+def _where(error: yaml.YAMLError) -> str:
+    """Where the mistake is; the parser says where it noticed, which is a line later when something has no end."""
+    noticed, begun = getattr(error, "problem_mark", None), getattr(error, "context_mark", None)
+    if noticed is None:
+        return ""
+    if begun is not None and begun.line < noticed.line:
+        ended = noticed.buffer is None or noticed.buffer[noticed.pointer] == "\0"
+        within = str(getattr(error, "context", None))
+        if within.startswith(("while scanning a simple key", "while scanning a quoted scalar")):
+            return f", line {begun.line + 1}"
+        if within.startswith("while parsing a flow"):
+            return f", line {begun.line + 1}" if ended else f", lines {begun.line + 1} to {noticed.line + 1}"
+    return f", line {noticed.line + 1}"
 
 
 def validate(cls: type[M], data: Mapping[str, Any], name: str) -> M:

@@ -125,6 +125,23 @@ def test_every_mistake_names_the_file_the_key_and_what_was_expected(text, said):
     assert said in wrong(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("robot: {id: x}\nlidar\n  model: vlp16\n", ", line 2: not valid YAML: could not find expected ':'"),
+        ("robot: {id: x}\nlidar", ", line 2: not valid YAML"),
+        ("robot: {id: x}\nlidar: 'a\nimu: null\ngnss: null\n", ", line 2: not valid YAML: found unexpected end"),
+        ("robot: {id: x}\nlidar: {rings: [1, 2}\nimu: null\n", ", line 2: not valid YAML: expected ',' or ']'"),
+        ("robot: {id: x}\nlidar: {rings: 3\n", ", line 2: not valid YAML: expected ',' or '}'"),
+        ("robot: {id: x}\nlidar: {rings: 3\nimu: null\n", ", lines 2 to 3: not valid YAML: expected ',' or '}'"),
+        ("robot: {id: x}\nlidar: a: b\nimu: null\n", ", line 2: not valid YAML: mapping values"),
+        ("robot: {id: x}\n- b\nimu: null\n", ", line 2: not valid YAML: expected <block end>"),
+    ],
+)
+def test_the_line_is_that_of_the_mistake_and_not_of_where_it_is_noticed(text: str, where: str):
+    assert wrong(text).startswith("robot.yaml" + where), wrong(text)
+
+
 def test_two_mistakes_are_both_in_the_line():
     line = wrong("lidar: {modl: a, rings: x}")
     assert "lidar.modl" in line
