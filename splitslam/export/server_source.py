@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from splitslam import config
+from splitslam.errors import InputError
 from splitslam.maps import AntennaFix, Between, MapGraph, MapPiece
-from splitslam.run.session_client import SessionClient, points_of, session_client, square
+from splitslam.run.session_client import NoSessionError, SessionClient, points_of, session_client, square
 from splitslam.security.settings import ClientTls
 from splitslam.thinning import thinned
 from splitslam.tum import Trajectory
@@ -56,10 +57,14 @@ class ServerSource:
 def server_source(session_id: str, address: str, tls: Path | None, dense: bool = True) -> Iterator[ServerSource]:
     """tls: YAML like the agent's section of that name; the environment (SPLITSLAM_TLS__CA, ...) overrides it.
 
-    Raises InputError for an address or certificates that cannot be used.
+    Raises InputError for an address or certificates that cannot be used, or a session that the server does not know.
     """
     with session_client(address, session_id, config.load(ClientTls, tls, "SPLITSLAM_TLS__")) as client:
-        yield ServerSource(client, session_id, dense)
+        try:
+            source = ServerSource(client, session_id, dense)
+        except NoSessionError:
+            raise InputError(f"{address}: no session {session_id!r}") from None
+        yield source
 
 
 def graph_from_wire(messages: list[pb.PoseGraphResponse]) -> MapGraph:

@@ -27,6 +27,10 @@ _STREAM_S = 600.0
 _LONG_S = 6 * 3600.0
 
 
+class NoSessionError(RunFailedError):
+    """The server knows no session of that name."""
+
+
 class SessionClient:
     """SessionService of one server, for one session. Every call raises RunFailedError when it fails."""
 
@@ -116,7 +120,9 @@ def _named(call: str) -> Iterator[None]:
         yield
     except grpc.RpcError as error:
         detail = error.details() if isinstance(error, grpc.Call) else str(error)
-        raise RunFailedError(f"map service: {call}: {detail}") from None
+        gone = isinstance(error, grpc.Call) and error.code() == grpc.StatusCode.NOT_FOUND
+        failed = NoSessionError if gone else RunFailedError
+        raise failed(f"map service: {call}: {detail}") from None
 
 
 def _numbers(pose: types.Transform) -> tuple[float, float, float, float, float, float, float]:
