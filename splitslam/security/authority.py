@@ -145,6 +145,16 @@ class Authority:
             found.append(self.read(path))
         return found
 
+    def valid(self, identity: Identity) -> Issued | None:
+        """The certificate that it has here, unless that has expired or is revoked. Raises InputError as `issue` does."""
+        self._check_free(identity)
+        path, revoked = self._path(identity), self.folder / REVOKED
+        if not path.exists():
+            return None
+        issued = self.read(path)
+        gone = issued.expires < datetime.now(UTC) or (revoked.exists() and issued.fingerprint in revoked.read_text())
+        return None if gone else issued
+
     def read(self, path: Path) -> Issued:
         """Raises InputError for a file that is none of this authority's certificates."""
         try:

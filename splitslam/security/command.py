@@ -19,6 +19,7 @@ Folder = Annotated[Path, typer.Option("--folder", metavar="DIR", help="The fleet
 Days = Annotated[float, typer.Option("--days", min=0.0, help="How long it is valid.")]
 Hosts = Annotated[list[str], typer.Option("--host", metavar="NAME", help="Name or address that clients connect to.")]
 Site = Annotated[str, typer.Option("--site", metavar="SITE", help="The site.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace one that is valid; that one is not revoked by it.")]
 FOLDER = Path("certs")
 
 certs = typer.Typer(help="A private certificate authority for a fleet.", no_args_is_help=True)
@@ -38,9 +39,9 @@ def init(
 
 
 @certs.command()
-def robot(name: str, site: Site, folder: Folder = FOLDER, days: Days = 365) -> None:
+def robot(name: str, site: Site, folder: Folder = FOLDER, days: Days = 365, force: Force = False) -> None:
     """For a robot: it may open sessions as NAME, at its site."""
-    _issue(folder, "robot", days, name=name, site=site)
+    _issue(folder, "robot", days, force, name=name, site=site)
 
 
 @certs.command()
@@ -49,21 +50,22 @@ def operator(
     site: Annotated[str, typer.Option("--site", metavar="SITE", help="Of one site; without, of all.")] = "",
     folder: Folder = FOLDER,
     days: Days = 90,
+    force: Force = False,
 ) -> None:
     """For a person or a tool: list, read and delete sessions."""
-    _issue(folder, "operator", days, name=name, site=site)
+    _issue(folder, "operator", days, force, name=name, site=site)
 
 
 @certs.command()
-def service(host: Hosts, folder: Folder = FOLDER, days: Days = 365) -> None:
+def service(host: Hosts, folder: Folder = FOLDER, days: Days = 365, force: Force = False) -> None:
     """For the map services, one for all replicas."""
-    _issue(folder, "service", days, hosts=host)
+    _issue(folder, "service", days, force, hosts=host)
 
 
 @certs.command()
-def envoy(host: Hosts, folder: Folder = FOLDER, days: Days = 365) -> None:
+def envoy(host: Hosts, folder: Folder = FOLDER, days: Days = 365, force: Force = False) -> None:
     """For the proxy: what it says of who called is believed."""
-    _issue(folder, "envoy", days, hosts=host)
+    _issue(folder, "envoy", days, force, hosts=host)
 
 
 @certs.command()
@@ -149,10 +151,16 @@ def _identity(authority: Authority, role: Role, name: str = "", site: str = "") 
 
 
 def _issue(
-    folder: Path, role: Role, days: float, name: str = "", site: str = "", hosts: list[str] | None = None
+    folder: Path, role: Role, days: float, force: bool, name: str = "", site: str = "", hosts: list[str] | None = None
 ) -> None:
     authority = _authority(folder)
-    _say(authority.issue(_identity(authority, role, name, site), days, hosts or []))
+    identity = _identity(authority, role, name, site)
+    if not force and (there := authority.valid(identity)) is not None:
+        raise InputError(
+            f"{there.path}: is there already, valid until {there.expires:%Y-%m-%d}"
+            f" (`splitslam certs renew {there.path}` renews it, --force replaces it)"
+        )
+    _say(authority.issue(identity, days, hosts or []))
 
 
 def _say(issued: Issued) -> None:

@@ -111,6 +111,29 @@ def test_renewing_keeps_who_it_is_and_its_span_and_makes_a_new_key(folder: Path)
     assert key.public_key() == new.public_key()
 
 
+def test_a_second_certificate_takes_the_place_of_a_valid_one_only_by_force(folder: Path) -> None:
+    """The first one would stay valid, unknown to this folder: nobody could revoke it any more."""
+    rover, service = folder / "robots/rover-1.pem", folder / "service.pem"
+    asked = (rover, ("robot", "rover-1", "--site", "north")), (service, ("service", "--host", "map.example"))
+    for path, command in asked:
+        run(*command, "--days", "20", folder=folder)
+        first = path.read_bytes(), path.with_suffix(".key").read_bytes()
+        said = rf"^{path}: is there already, valid until 2\d\d\d-\d\d-\d\d \(`splitslam certs renew {path}` renews it, --force"
+        with pytest.raises(InputError, match=said):
+            run(*command, folder=folder)
+        assert (path.read_bytes(), path.with_suffix(".key").read_bytes()) == first
+        run(*command, "--force", folder=folder)
+        assert path.read_bytes() != first[0]
+
+
+def test_one_that_has_expired_or_is_revoked_makes_room(folder: Path) -> None:
+    robot = ("robot", "rover-1", "--site", "north")
+    run(*robot, folder=folder)
+    run("revoke", str(folder / "robots/rover-1.pem"), folder=folder)
+    run(*robot, "--days", "0", folder=folder)
+    run(*robot, folder=folder)
+
+
 def test_show_tells_what_expires_and_fails_when_it_is_soon(folder: Path) -> None:
     run("robot", "rover-1", "--site", "north", "--days", "10", folder=folder)
     lines = [json.loads(line) for line in run("show", "--json", "--within", "5", folder=folder).splitlines()]
