@@ -24,7 +24,7 @@ def run(
     print_config: Annotated[bool, typer.Option("--print-config", help="Print the effective one and exit.")] = False,
 ) -> None:
     """Run the agent until its source ends or it gets SIGTERM or SIGINT."""
-    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # gRPC's own lines are not for the robot's operator
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # gRPC's own lines are not for the robot's operator
     gc.disable()  # until the first scan: what is imported stays
     from edge_agent.config import ENVIRONMENT_PREFIX, AgentConfig
     from edge_agent.service import Reloader, in_service_folders

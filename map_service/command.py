@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,7 @@ def serve(
     print_config: Annotated[bool, typer.Option("--print-config", help="Print the effective one and exit.")] = False,
 ) -> None:
     """Serve robots until SIGTERM."""
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # what fails is told in our own words; gRPC's go before them
     from map_service.config import ENV_PREFIX, ServiceConfig
     from splitslam import config as configuration
 

@@ -169,6 +169,13 @@ def test_progress_lines_and_errors_go_where_a_caller_looks_for_them(shared_data:
     assert lines[0] == {"event": "start", "scans": SCANS}
     assert lines[-2:] == [{"event": "scan", "read": SCANS, "mapped": SCANS}, {"event": "end"}]
 
+    values["feed"] = {"socket": str(tmp_path / "nowhere/pose.sock")}
+    process = agent(values, tmp_path)
+    _, stderr = process.communicate(timeout=120)
+    assert process.returncode == 2
+    expected = "expected a path where a Unix socket can be made"
+    assert stderr == f"feed.socket {tmp_path}/nowhere/pose.sock: {expected}\n", "not a word of gRPC's"
+
     process = agent(values | {"uplnk": {}}, tmp_path)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 2

@@ -70,7 +70,7 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("option", ["--listen", "--metrics-port"])
-def test_a_port_that_is_taken_is_said_so(tmp_path: Path, option: str) -> None:
+def test_a_port_that_is_taken_is_said_so_in_one_line(tmp_path: Path, option: str) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -82,6 +82,7 @@ def test_a_port_that_is_taken_is_said_so(tmp_path: Path, option: str) -> None:
         failed = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert failed.returncode == 2
     assert str(port) in failed.stderr
+    assert failed.stderr.count("\n") == 1
 
 
 def test_it_serves_with_the_real_pipeline_says_where_and_stops_at_sigterm(tmp_path: Path) -> None:
