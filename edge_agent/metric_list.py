@@ -36,7 +36,7 @@ DROP_REASONS = (
     # a pose, for a reader of the feed
     "feed_slow_reader",
     # messages of a ROS graph: from it, to it
-    *("ros_lost", "ros_scan_missing", "ros_imu_missing", "ros_inbox_full"),
+    *("ros_lost", "ros_scan_missing", "ros_imu_missing", "ros_inbox_full", "ros_failed"),
     *("ros_queue_full", "ros_not_sent", "ros_no_odom"),
 )
 BREAKS = (

@@ -12,6 +12,7 @@ from typing import Any
 
 from edge_agent.ros.codec import Codec
 from edge_agent.ros.graph import Delivery, Receive, Send
+from edge_agent.ros.guard import Guard
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
 
@@ -35,6 +36,7 @@ class RclpyGraph:
         self.name = f"ROS 2 domain {self._context.get_domain_id()} (rclpy)"
         self.codec = Codec("cdr")
         self.lost: Counter[str] = Counter()
+        self._guard = Guard(self.lost)
         executors: Any = importlib.import_module("rclpy.executors")
         self._executor = executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -57,7 +59,8 @@ class RclpyGraph:
         reliable = not delivery.sensor or self._is_reliable(topic)
         events = self._events.SubscriptionEventCallbacks(message_lost=self._on_lost)
         profile = self._profile(delivery, reliable)
-        self._node.create_subscription(_class(msgtype), topic, receive, profile, event_callbacks=events, raw=True)
+        guarded = self._guard.guarded(topic, receive)  # an exception would end the executor
+        self._node.create_subscription(_class(msgtype), topic, guarded, profile, event_callbacks=events, raw=True)
 
     def _is_reliable(self, topic: str) -> bool:
         offers = [info.qos_profile.reliability for info in self._publishers_of(topic)]

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from cyclonedds.core import Policy, Qos
+from cyclonedds.core import DDSException, Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
@@ -21,6 +21,7 @@ from cyclonedds.topic import Topic
 from edge_agent.ros import connect
 from edge_agent.ros.codec import Codec
 from edge_agent.ros.dds.graph import DdsGraph
+from edge_agent.ros.dds.subscription import Subscription
 from edge_agent.ros.dds.types import raw_type, ros_type_name
 from edge_agent.ros.graph import RELIABLE, SAMPLES, STATIC, Delivery
 from edge_agent.ros.settings import Ros2Settings
@@ -139,6 +140,48 @@ def test_what_is_offered_reliably_is_taken_reliably_and_arrives_whole_and_in_ord
     numbers = [CODEC.decode(raw, made.IMU).angular_velocity.z for raw in heard]
     assert numbers[-999:] == [float(k) for k in range(1, 1000)]
     assert agent.lost == {}
+
+
+def test_a_message_that_the_reader_fails_at_costs_that_message_and_is_told_once(join, caplog: pytest.LogCaptureFixture):
+    robot, agent = join(), join()
+    send = robot.advertise("/imu/data", made.IMU, Delivery(keep=2000))
+    heard: list[bytes] = []
+
+    def receive(raw: bytes) -> None:
+        if raw in (imu(3), imu(4)):
+            raise ValueError("cannot be read")
+        heard.append(raw)
+
+    agent.subscribe("/imu/data", made.IMU, SAMPLES, receive)
+    eventually(lambda: send(imu(0)) or heard)
+    for k in range(1, 10):
+        send(imu(k))
+    eventually(lambda: heard[-1] == imu(9))
+    numbers = [CODEC.decode(raw, made.IMU).angular_velocity.z for raw in heard]
+    assert numbers[-7:] == [1.0, 2.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+    assert agent.lost == {"ros_failed": 2}
+    (line,) = [record for record in caplog.records if record.message == "ROS messages fail"]
+    assert "cannot be read" in str(line.exc_info)
+
+
+def test_a_middleware_that_fails_is_asked_again(
+    join, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    robot, agent = join(), join()
+    take, failures = Subscription.take, [DDSException(DDSException.DDS_RETCODE_ERROR)] * 2
+
+    def fails_twice(subscription: Subscription) -> None:
+        if failures:
+            raise failures.pop()
+        take(subscription)
+
+    monkeypatch.setattr(Subscription, "take", fails_twice)
+    send = robot.advertise("/imu/data", made.IMU, RELIABLE)
+    heard: list[bytes] = []
+    agent.subscribe("/imu/data", made.IMU, SAMPLES, heard.append)
+    eventually(lambda: send(imu(1)) or heard)
+    assert agent.lost == {"ros_failed": 2}
+    assert [record.message for record in caplog.records].count("ROS messages fail") == 1
 
 
 def test_a_latched_message_reaches_a_reader_that_comes_later(join):

@@ -18,9 +18,10 @@ def test_two_nodes_find_each_other_and_every_sample_cloud_and_latched_message_ar
     environment = os.environ | ros2.environment()
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
-    names, imu, cloud, static = map(json.loads, done.stdout.splitlines())
+    names, imu, cloud, static, failing = map(json.loads, done.stdout.splitlines())
     assert names == {"names": [f"ROS 2 domain {DOMAIN} (rclpy)"] * 2}
     arrived = {"found": True, "own": False, "connected": True, "whole": True, "lost": {}}
     assert imu == {"topic": "/imu/data", "heard": SAMPLES_SENT, **arrived}
     assert cloud == {"topic": "/points_raw", "heard": 5, **arrived}
     assert static == {"topic": "/static", "whole": True}
+    assert failing == {"topic": "/failing", "failed": True, "heard_after": True}

@@ -31,6 +31,7 @@ def main(domain: int) -> None:
     hear(robot, agent, "/imu/data", made.IMU, imu)
     hear(robot, agent, "/points_raw", made.CLOUD, [cloud] * 5)
     latched(robot, agent, imu[0])
+    failing(robot, agent, imu[:2])
     for graph in (agent, robot, robot):
         graph.close()
 
@@ -58,6 +59,22 @@ def latched(speaker: Graph, listener: Graph, message: bytes) -> None:
     heard: list[bytes] = []
     listener.subscribe("/static", made.IMU, STATIC, heard.append)
     print(json.dumps({"topic": "/static", "whole": bool(_until(lambda: heard == [message]))}), flush=True)
+
+
+def failing(speaker: Graph, listener: Graph, messages: list[bytes]) -> None:
+    """What comes after a message that the listener fails at."""
+    send = speaker.advertise("/failing", made.IMU, RELIABLE)
+    heard: list[bytes] = []
+
+    def receive(raw: bytes) -> None:
+        if raw == messages[0]:
+            raise ValueError("cannot be read")
+        heard.append(raw)
+
+    listener.subscribe("/failing", made.IMU, SAMPLES, receive)
+    failed = _until(lambda: send(messages[0]) or listener.lost["ros_failed"])
+    heard_after = _until(lambda: send(messages[1]) or heard)
+    print(json.dumps({"topic": "/failing", "failed": failed, "heard_after": heard_after}), flush=True)
 
 
 def _message(made_message: tuple) -> bytes:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections import Counter
 from typing import Any
 
@@ -22,11 +23,13 @@ from edge_agent.ros.codec import Codec
 from edge_agent.ros.dds.subscription import TAKE, Subscription, qos_of
 from edge_agent.ros.dds.types import raw_type, ros_type_name
 from edge_agent.ros.graph import Delivery, Receive, Send
+from edge_agent.ros.guard import Guard
 from edge_agent.ros.settings import Ros2Settings
 from splitslam.errors import InputError
 
 _PREFIX = "rt/"
 _LOOK_MS = 200  # for publishers of another kind
+_FAILED_S = 0.2  # a middleware that fails each time is not asked without end
 
 
 def domain_of(settings: Ros2Settings) -> int:
@@ -48,6 +51,7 @@ class DdsGraph:
         self.name = f"ROS 2 domain {domain} (CycloneDDS)"
         self.codec = Codec("cdr")
         self.lost: Counter[str] = Counter()
+        self._guard = Guard(self.lost)
         try:
             self._participant = DomainParticipant(domain)
         except DDSException as error:
@@ -91,7 +95,8 @@ class DdsGraph:
 
     def subscribe(self, topic: str, msgtype: str, delivery: Delivery, receive: Receive) -> None:
         dds = self._topic(topic, msgtype)
-        subscription = Subscription(self._participant, dds, delivery, receive, self._on_lost)
+        guarded = self._guard.guarded(topic, receive)
+        subscription = Subscription(self._participant, dds, delivery, guarded, self._on_lost)
         with self._lock:
             self._subscriptions = [*self._subscriptions, subscription]
             self._waitset.attach(subscription.condition)
@@ -114,12 +119,19 @@ class DdsGraph:
 
     def _run(self) -> None:
         while not self._closed:
-            self._waitset.wait(duration(milliseconds=_LOOK_MS))
-            for subscription in self._subscriptions:
-                if (condition := subscription.widened()) is not None:
-                    self._waitset.attach(condition)
-                if not self._closed:
-                    subscription.take()
+            try:
+                self._take()
+            except Exception:
+                self._guard.failed(self.name)
+                time.sleep(_FAILED_S)
+
+    def _take(self) -> None:
+        self._waitset.wait(duration(milliseconds=_LOOK_MS))
+        for subscription in self._subscriptions:
+            if (condition := subscription.widened()) is not None:
+                self._waitset.attach(condition)
+            if not self._closed:
+                subscription.take()
 
     def close(self) -> None:
         if not self._closed:
