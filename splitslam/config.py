@@ -98,7 +98,9 @@ def parse_yaml(text: str, name: str) -> dict[str, Any]:
     except (ValueError, OverflowError) as error:  # of a scalar that looks like a number and is none
         raise InputError(f"{name}: not valid YAML: {error}"[:300]) from error
     except yaml.YAMLError as error:
-        raise InputError(f"{name}{_where(error)}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
+        raise InputError(
+            f"{name}{_where(error)}: not valid YAML: {getattr(error, 'problem', None) or error}"
+        ) from error
     if data is None:
         return {}
     if not isinstance(data, dict):
