@@ -8,12 +8,13 @@ import time
 from dataclasses import dataclass
 
 from sqlalchemy import and_, or_, select, update
+from sqlalchemy.exc import DBAPIError
 
 from map_service import schema
 from map_service.block_keeping import BlockKeeper
 from map_service.catalog import Catalog, delete_session
 from map_service.config import RetentionConfig, ServiceConfig
-from map_service.database import StoreError, alone
+from map_service.database import StoreError, alone, one_line
 from map_service.metrics import ServiceMetrics
 from map_service.store import Store
 from splitslam.logs import fields
@@ -35,6 +36,14 @@ class Removed:
     bytes: int
 
 
+class _UndeletableError(Exception):
+    """The session `name` cannot be deleted now; the cause says why."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
 class Retention:
     """Deletes finished sessions that are older than their site keeps them, one replica at a time."""
 
@@ -42,18 +51,32 @@ class Retention:
         self._store, self._config = store, config
 
     def run(self, now_s: float) -> list[Removed]:
-        """now_s: Unix time. Raises StoreError; what was deleted until then is deleted."""
+        """now_s: Unix time. Raises StoreError; what was deleted until then is deleted.
+
+        A session that cannot be deleted is told and left for the next time; those after it are not.
+        """
         if not (self._config.finished_days or any(self._config.sites.values())):
             return []
-        removed = []
-        while (one := self._remove_one(now_s)) is not None:
+        removed: list[Removed] = []
+        left: list[str] = []
+        while True:
+            try:
+                one = self._remove_one(now_s, left)
+            except _UndeletableError as failed:
+                left.append(failed.name)
+                _tell(failed)
+                continue
+            if one is None:
+                return removed
             said = fields(session_id=one.session_id, site_id=one.site_id, frames=one.frames, bytes=one.bytes)
             _log.info("session deleted by retention", extra=said)
             removed.append(one)
-        return removed
 
-    def _remove_one(self, now_s: float) -> Removed | None:
-        """A transaction for each: commits of running sessions come in between."""
+    def _remove_one(self, now_s: float, left: list[str]) -> Removed | None:
+        """A transaction for each: commits of running sessions come in between. left: not to be tried again.
+
+        Raises _UndeletableError when it has been chosen and cannot be deleted.
+        """
         t = schema.sessions
         with self._store.writing() as connection:
             if not alone(connection):
@@ -62,10 +85,14 @@ class Retention:
             unknown = and_(t.c.finished.is_(True), t.c.finished_s.is_(None))
             connection.execute(update(t).where(unknown).values(finished_s=now_s))
             query = select(t.c.id, t.c.session_id, t.c.site_id).where(t.c.finished.is_(True), self._expired(now_s))
-            row = connection.execute(query.order_by(t.c.finished_s).limit(1)).first()
+            query = query.where(t.c.session_id.not_in(left)).order_by(t.c.finished_s)
+            row = connection.execute(query.limit(1)).first()
             if row is None:
                 return None
-            d = delete_session(connection, row.session_id)
+            try:
+                d = delete_session(connection, row.session_id)
+            except Exception as error:
+                raise _UndeletableError(row.session_id) from error
             return None if d is None else Removed(row.session_id, row.site_id, d.frames, d.keyframes, d.bytes)
 
     def _expired(self, now_s: float):
@@ -77,6 +104,15 @@ class Retention:
             rest = t.c.finished_s < now_s - self._config.finished_days * DAY_S
             rules.append(and_(t.c.site_id.not_in(list(named)), rest))
         return or_(*rules)
+
+
+def _tell(failed: _UndeletableError) -> None:
+    cause = failed.__cause__
+    if isinstance(cause, DBAPIError):
+        said = fields(session_id=failed.name, detail=one_line(cause.orig))
+        _log.warning("session not deleted by retention", extra=said)
+    else:
+        _log.exception("session not deleted by retention", extra=fields(session_id=failed.name))
 
 
 class Housekeeper:

@@ -6,13 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
-from sqlalchemy import event, insert, update
+from sqlalchemy import Connection, event, insert, text, update
+from sqlalchemy.exc import OperationalError
 
-from map_service import catalog, schema
+from map_service import catalog, housekeeping, schema
 from map_service.catalog import Catalog
 from map_service.config import RetentionConfig
 from map_service.housekeeping import DAY_S, Retention
-from map_service.store import Store
+from map_service.store import Store, StoreError
 from tests.map_service.entries import OPENING, entry, with_move
 
 NOW_S = 1_800_000_000.0
@@ -77,6 +78,42 @@ def test_without_a_rule_nothing_is_ever_deleted(store: Store, config: RetentionC
     finished(store, "ancient", 10_000)
     assert Retention(store, config).run(NOW_S) == []
     assert left(store) == ["ancient"]
+
+
+@pytest.mark.parametrize("database", [True, False])
+def test_a_session_that_cannot_be_deleted_does_not_keep_those_after_it(
+    store: Store, database: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for i in range(4):
+        finished(store, f"r/{i}", 20 - i)
+    delete = housekeeping.delete_session
+
+    def fails(connection: Connection, session_id: str) -> catalog.Deleted | None:
+        if session_id in ("r/0", "r/2"):
+            if not database:
+                raise ValueError("a defect")
+            connection.execute(text("DELETE FROM keyframes WHERE session = 'x' / 0 OR nothing"))
+        return delete(connection, session_id)
+
+    monkeypatch.setattr(housekeeping, "delete_session", fails)
+    retention = Retention(store, RetentionConfig(finished_days=10))
+    assert [r.session_id for r in retention.run(NOW_S)] == ["r/1", "r/3"]
+    assert left(store) == ["r/0", "r/2"]
+    told = [record for record in caplog.records if record.message == "session not deleted by retention"]
+    assert [record.exc_info is None for record in told] == [database] * 2
+    monkeypatch.setattr(housekeeping, "delete_session", delete)
+    assert [r.session_id for r in retention.run(NOW_S)] == ["r/0", "r/2"], "the next time"
+
+
+def test_a_store_that_goes_away_ends_it(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    finished(store, "r/0", 20)
+
+    def away(_connection: Connection) -> bool:
+        raise OperationalError("SELECT", {}, Exception("gone"))
+
+    monkeypatch.setattr(housekeeping, "alone", away)
+    with pytest.raises(StoreError, match="gone"):
+        Retention(store, RetentionConfig(finished_days=10)).run(NOW_S)
 
 
 def test_no_statement_has_to_delete_more_than_it_can_in_its_time(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
