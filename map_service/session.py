@@ -66,7 +66,6 @@ class Session:
         self._answers: OrderedDict[int, pb.Odometry] = OrderedDict()
         self._poses: deque[types_pb.StampedPose] = deque(maxlen=WELCOME_POSES)
         self._T_map_odom = np.eye(4)
-        self._last_stamp_ns = 0
         self._mapped_ns = 0  # stamp of the newest frame that was mapped: stamps in the map rise
         self._covariance = np.full((6, 6), np.nan)
         self._new_T_map_odom: dict[int, np.ndarray] = {}
@@ -82,7 +81,6 @@ class Session:
             return self._engine.create(self.request, None)
         snapshot = self._store.load(self.log.key)
         for answer in self._store.answers(self.log.key, last=WELCOME_POSES):
-            self._last_stamp_ns = max(self._last_stamp_ns, answer.stamp_ns)
             if answer.T_map_lidar is not None and answer.T_map_odom is not None:
                 self._poses.append(messages.stamped_pose(answer.seq, answer.stamp_ns, answer.T_map_lidar))
                 self._T_map_odom, self.state = answer.T_map_odom, State(answer.state)
@@ -99,7 +97,7 @@ class Session:
             stream=self.stream,
             state=int(self.state),
             scans=self.log.applied_seq,
-            last_stamp_ns=self._last_stamp_ns,
+            last_stamp_ns=self._mapped_ns,
             opened_s=self.opened_s,
             undurable_frames=self.log.undurable,
             backlog_frames=self.accounts.backlog_frames,
@@ -154,7 +152,6 @@ class Session:
             with self.accounts.timed():
                 answer = self._map_or_reject(frame, poisoned)
             self.log.applied_seq = frame.seq
-            self._last_stamp_ns = max(self._last_stamp_ns, frame.stamp_ns)
             self._answers[frame.seq] = answer
             if len(self._answers) > KEPT_ANSWERS:
                 self._answers.popitem(last=False)
@@ -265,7 +262,7 @@ class Session:
         else:
             commit = Commit(previous, last, [], [], [], [], self._tracker)
         news = self._new_T_map_odom, self._new_rejected, self._new_holes, statistics, finished, self._new_covariance
-        entry = SessionCommit(commit, *news, self._diary.take(commit, self._last_stamp_ns, finished=finished))
+        entry = SessionCommit(commit, *news, self._diary.take(commit, self._mapped_ns, finished=finished))
         self._new_T_map_odom, self._new_covariance, self._new_rejected, self._new_holes = {}, {}, [], []
         return entry
 

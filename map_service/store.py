@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Engine, Update, bindparam, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, Update, bindparam, case, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from map_service import schema
@@ -37,7 +37,10 @@ def _advance_statement() -> Update:
     for name in ("frames", "rejected", "loops", "gnss_factors", "bytes"):
         values[name] = t.c[name] + bindparam(f"new_{name}", type_=t.c[name].type)
     for name in ("finished_s", "statistics", "last_stamp_ns", "first_stamp_ns", "map_version"):  # None: as it was
-        values[name] = func.coalesce(bindparam(f"or_{name}", type_=t.c[name].type), t.c[name])
+        new: ColumnElement = bindparam(f"or_{name}", type_=t.c[name].type)
+        if name == "first_stamp_ns":
+            new = case((t.c.frames == 0, new))
+        values[name] = func.coalesce(new, t.c[name])
     owned = t.c.id == bindparam("of_key"), t.c.epoch == bindparam("of_epoch"), t.c.finished.is_(False)
     return update(t).where(*owned, t.c.last_seq == bindparam("after_seq")).values(values)
 
@@ -178,8 +181,7 @@ class Store:
     def _advance(self, connection: Connection, key: int, epoch: int, entry: SessionCommit) -> bool:
         commit = entry.commit
         kinds = [factor.kind for factor in commit.factors]
-        stamps = [f.stamp_ns for f in commit.frames] + [stamp_ns for _, stamp_ns, _ in entry.rejected]
-        first = bool(stamps) and commit.previous_seq == 0
+        stamps = [f.stamp_ns for f in commit.frames]  # a rejected frame's may be any number
         values = {
             "of_key": key,
             "of_epoch": epoch,
@@ -195,7 +197,7 @@ class Store:
             "or_finished_s": time.time() if entry.finished else None,
             "or_statistics": entry.statistics or None,
             "or_last_stamp_ns": max(stamps, default=None),
-            "or_first_stamp_ns": min(stamps) if first else None,
+            "or_first_stamp_ns": min(stamps, default=None),
             "or_map_version": commit.map_version or None,
         }
         if connection.execute(_ADVANCE, values).rowcount == 1:

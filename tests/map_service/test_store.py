@@ -12,8 +12,9 @@ from sqlalchemy import event, select, update
 
 from map_service import schema
 from map_service.catalog import Catalog
+from map_service.rows import SessionCommit
 from map_service.store import FencedError, FinishedError, Store, StoreError
-from map_service.types import KeyframeRecord
+from map_service.types import Commit, KeyframeRecord
 from splitslam.errors import InputError
 from tests.map_service.entries import OPENING, entry, pose, with_move
 
@@ -60,9 +61,30 @@ def test_what_was_committed_comes_back_as_it_was(store: Store) -> None:
     row = Catalog(store).session("r/1")
     assert row is not None
     assert (row.frames, row.rejected, row.keyframes, row.loops, row.gnss_factors) == (5, 1, 2, 1, 0)
-    assert (row.first_stamp_ns, row.last_stamp_ns) == (1000, 6000)
+    assert (row.first_stamp_ns, row.last_stamp_ns) == (1000, 5000)
     again = store.open_session(OPENING)
     assert (again.epoch, again.last_seq, again.statistics) == (2, 6, '{"cpu_ms": 5}')
+
+
+def test_a_session_is_as_long_as_what_was_mapped_of_it(store: Store) -> None:
+    """The stamp of a rejected frame may be any number."""
+    opened = store.open_session(OPENING)
+    ahead, back = 1 << 62, -5
+
+    def times() -> tuple[int, int]:
+        row = Catalog(store).session("r/1")
+        assert row is not None
+        return row.first_stamp_ns, row.last_stamp_ns
+
+    nothing = Commit(0, 2, [], [], [], [], b"")
+    store.commit(opened.key, 1, SessionCommit(nothing, {}, [(1, ahead, "time"), (2, back, "corrupt")]))
+    assert times() == (0, 0)
+    store.commit(opened.key, 1, entry(2, 5, keyframes=(0,)))
+    assert times() == (3000, 5000)
+    some = entry(5, 8, rejected=[(8, ahead, "time")])
+    some.commit.frames.pop()
+    store.commit(opened.key, 1, some)
+    assert times() == (3000, 7000)
 
 
 def test_the_last_answers_come_back_in_order_with_both_poses(store: Store) -> None:
