@@ -183,7 +183,7 @@ def _show(parts: RunParts) -> None:
     metrics.deskew_from(node.name, node.counts)
     metrics.outages_from(parts.outages.report)
     metrics.certificate_from(parts.uplink.certificate_expires_s)
-    metrics.drop_sources += [parts.source.dropped, sequencer.dropped]
+    metrics.drop_sources += [parts.source.dropped, parts.after.dropped, sequencer.dropped]
     metrics.clock_step_sources.append(sequencer.times.steps)
     metrics.imu_from(standing.imu_gaps, lambda: parts.imu.resets, lambda: sequencer.uncovered)
     metrics.scans_from(standing.scans, lambda: dict(parts.tally.corrections_by_cause))

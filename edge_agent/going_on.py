@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from edge_agent.imu.unseen import unseen
 from edge_agent.sources import TimedEvent
@@ -15,7 +16,7 @@ from edge_agent.sources.time_map import shifted
 from edge_agent.types import MotionSource
 from splitslam.features import Motion
 from splitslam.logs import fields
-from splitslam.scan import GnssFix, Scan
+from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 
 _log = logging.getLogger(__name__)
 
@@ -28,13 +29,15 @@ class StartAfter:
     """The last frame of the agent before: its seq and stamp. skipped: scans of a recording up to there, read again.
 
     live: scans up to there are none that were read before, but of a clock that was set back meanwhile: stamps go on
-    from a second after that frame.
+    from a second after that frame. Until the first of them tells by how much, other sensors' messages have no place in
+    the run: `dropped` counts them.
     """
 
     seq: int
     stamp_ns: int
     live: bool = False
     skipped: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
 
     def events(self, events: Iterator[TimedEvent | None]) -> Iterator[TimedEvent | None]:
         """What a source holds after that frame, and the samples just before it."""
@@ -56,8 +59,17 @@ class StartAfter:
             else:
                 newest_ns = event.stamp_ns if isinstance(event, GnssFix) else int(event.stamps_ns[-1])
                 if newest_ns <= self.stamp_ns - _LEAD_NS:
+                    if self.live:
+                        self._drop(event)
                     continue
             yield arrival_ns, event
+
+    def _drop(self, event: ImuSamples | WheelSamples | GnssFix) -> None:
+        if isinstance(event, GnssFix):
+            self.dropped["gnss_time_backwards"] += 1
+        else:
+            kind = "imu" if isinstance(event, ImuSamples) else "wheel"
+            self.dropped[f"{kind}_time_backwards"] += len(event.stamps_ns)
 
 
 class UnseenMotion:

@@ -7,7 +7,7 @@ import numpy as np
 from edge_agent.going_on import StartAfter, UnseenMotion
 from splitslam import se3
 from splitslam.features import Knots, Motion
-from splitslam.scan import GnssFix, ImuSamples, Scan
+from splitslam.scan import GnssFix, ImuSamples, Scan, WheelSamples
 from tests.edge_agent.test_loop import SCAN_NS, imu_at, scan
 
 RATE_RADPS = 0.4
@@ -29,6 +29,7 @@ def test_what_an_agent_before_has_done_is_left_out_and_the_samples_that_level_th
     own = [timed[1] for timed in after.events(iter(events)) if timed is not None]
     assert [event.stamp_ns // SCAN_NS for event in own if isinstance(event, Scan)] == list(range(31, 60))
     assert after.skipped == 31
+    assert not after.dropped, "the agent before has had them"
     assert min(int(e.stamps_ns[0]) // SCAN_NS for e in own if isinstance(e, ImuSamples)) == 26
     assert min(e.stamp_ns // SCAN_NS for e in own if isinstance(e, GnssFix)) == 26
 
@@ -42,6 +43,18 @@ def test_a_live_sensors_clock_that_was_set_back_between_two_agents_costs_no_scan
     samples_ns = [int(event.stamps_ns[0]) for event in own if isinstance(event, ImuSamples)]
     assert samples_ns == stamps_ns[1:]  # those before the first scan are of no use
     assert after.skipped == 0
+    assert after.dropped == {"imu_time_backwards": 1}
+
+
+def test_a_live_sensors_samples_that_have_no_place_in_the_run_are_counted_one_by_one():
+    after = StartAfter(seq=3, stamp_ns=30 * SCAN_NS, live=True)
+    stamps_ns = np.arange(3) * SCAN_NS
+    samples = ImuSamples(stamps_ns, np.zeros((3, 3)), np.zeros((3, 3)))
+    early = [samples, fix(3), WheelSamples(stamps_ns[:2] + 4 * SCAN_NS, np.zeros((2, 2)), np.zeros(2))]
+    events = [(k, event) for k, event in enumerate([*early, scan(6), imu_at(7 * SCAN_NS), fix(8)])]
+    own = [timed[1] for timed in after.events(iter(events)) if timed is not None]
+    assert [type(event) for event in own] == [Scan, ImuSamples, GnssFix]
+    assert after.dropped == {"imu_time_backwards": 3, "gnss_time_backwards": 1, "wheel_time_backwards": 2}
 
 
 def fix(k: int) -> GnssFix:
