@@ -27,6 +27,8 @@ _CHUNK_S = 0.25  # of a limited uplink
 _BYTES_PER_KBIT = 125.0
 _LOOK_S = 0.2
 _LATER_S = {pb.CLOUD_VERDICT_NOT_YET: 1.0, pb.CLOUD_VERDICT_NO_SESSION: 30.0, pb.CLOUD_VERDICT_NO_ROOM: 30.0}
+_UNKNOWN_S = 300.0  # a word of a newer service: it has not said that the cloud is of no use
+_FINAL = (pb.CLOUD_VERDICT_REFUSED, pb.CLOUD_VERDICT_WANTED)  # the last: of one that has all of it
 _BACKOFF_S = 0.5, 30.0
 _log = logging.getLogger(__name__)
 
@@ -193,8 +195,12 @@ class CloudSender:
         elif verdict == pb.CLOUD_VERDICT_NO_SESSION and self._shelf.has_keyframes(kept.run_id):
             self._shelf.give_up(kept.run_id, "deleted")  # it had one
             return False
-        elif verdict in _LATER_S:  # no progress: the end of a run need not wait for it
-            kept.not_before_s = time.monotonic() + (answer.retry_after_ms * 1e-3 or _LATER_S[verdict])
+        elif verdict not in _FINAL:  # no progress: the end of a run need not wait for it
+            later_s = _LATER_S.get(verdict)
+            if later_s is None:
+                said = fields(run_id=kept.run_id, seq=kept.seq, detail=answer.detail or str(verdict))
+                _log.info("dense cloud put off by an unknown word", extra=said)
+            kept.not_before_s = time.monotonic() + (answer.retry_after_ms * 1e-3 or later_s or _UNKNOWN_S)
         else:
             said = fields(run_id=kept.run_id, seq=kept.seq, detail=answer.detail or str(verdict))
             _log.warning("dense cloud refused", extra=said)

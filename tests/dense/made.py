@@ -40,8 +40,8 @@ def cloud(seq: int = 1, points: int = 300) -> bytes:
     return dense_cloud.encode(whole_scan(seq, points), STEP_M)
 
 
-def opening(run_id: str = "", robot_id: str = "rover-7") -> pb.UploadOpen:
-    return pb.UploadOpen(robot_id=robot_id, run_id=run_id or new_run())
+def opening(run_id: str = "", robot_id: str = "rover-7", site_id: str = "") -> pb.UploadOpen:
+    return pb.UploadOpen(robot_id=robot_id, run_id=run_id or new_run(), site_id=site_id)
 
 
 class OpenLink:

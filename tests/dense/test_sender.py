@@ -25,6 +25,7 @@ from tests.dense.test_service import Connect, drive, stored
 from tests.map_service.harness import STAMP_0_NS, Operator, Service
 
 KEYFRAMES = (1, 6, 11)
+A_NEWER_SERVICES_WORD = max(pb.CloudVerdict.values()) + 1
 
 
 @contextmanager
@@ -136,11 +137,11 @@ def test_the_scans_of_a_session_that_was_deleted_are_given_up_and_counted(
     assert shelf.dropped == {"deleted": 4}
 
 
-class _NoRoom(rpc.DenseServiceServicer):
-    """A site at its quota: every cloud may come later."""
+class _PutsOff(rpc.DenseServiceServicer):
+    """Every cloud may come later."""
 
-    def __init__(self) -> None:
-        self.offers = 0
+    def __init__(self, verdict: int) -> None:
+        self.verdict, self.offers = verdict, 0
 
     def Upload(self, request_iterator: Iterator[pb.UploadRequest], context: object) -> Iterator[pb.UploadResponse]:
         for request in request_iterator:
@@ -148,11 +149,15 @@ class _NoRoom(rpc.DenseServiceServicer):
                 yield pb.UploadResponse(verdict=pb.CLOUD_VERDICT_WANTED)
             else:
                 self.offers += 1
-                yield pb.UploadResponse(verdict=pb.CLOUD_VERDICT_NO_ROOM, retry_after_ms=50)
+                yield pb.UploadResponse(verdict=self.verdict, retry_after_ms=50)  # type: ignore[arg-type]
 
 
-def test_being_put_off_is_no_progress_that_the_end_of_a_run_waits_for(tmp_path: Path, run_id: str) -> None:
-    full, server = _NoRoom(), grpc.server(ThreadPoolExecutor(2))
+@pytest.mark.parametrize("verdict", [pb.CLOUD_VERDICT_NO_ROOM, A_NEWER_SERVICES_WORD])
+def test_being_put_off_is_no_progress_that_the_end_of_a_run_waits_for(
+    tmp_path: Path, run_id: str, verdict: int
+) -> None:
+    """What no word says that this agent knows is no refusal."""
+    full, server = _PutsOff(verdict), grpc.server(ThreadPoolExecutor(2))
     rpc.add_DenseServiceServicer_to_server(full, server)
     address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
     server.start()
@@ -165,6 +170,7 @@ def test_being_put_off_is_no_progress_that_the_end_of_a_run_waits_for(tmp_path: 
         wait_until(lambda: full.offers > 3 * shelf.waiting)
         assert shelf.waiting == 4
         assert sender.moved_s == began_s
+        assert not shelf.dropped
     finally:
         sender.close()
         server.stop(None).wait()

@@ -32,9 +32,11 @@ def chunks(data: bytes, size: int = 200) -> list[pb.UploadRequest]:
     ]
 
 
-def upload(service: Service, run_id: str, requests: Iterable[pb.UploadRequest]) -> list[pb.UploadResponse]:
+def upload(
+    service: Service, run_id: str, requests: Iterable[pb.UploadRequest], site_id: str = ""
+) -> list[pb.UploadResponse]:
     """The answers after that to UploadOpen."""
-    said = [pb.UploadRequest(open=opening(run_id)), *requests]
+    said = [pb.UploadRequest(open=opening(run_id, site_id=site_id)), *requests]
     with grpc.insecure_channel(service.address) as channel:
         answers = list(rpc.DenseServiceStub(channel).Upload(iter(said), timeout=CALL_S))
     assert len(answers) == len(said)
@@ -170,6 +172,22 @@ def test_who_does_not_say_whose_scans_they_are_is_told_so(service: Service, firs
     assert isinstance(error, grpc.Call)
     assert error.code() == grpc.StatusCode.INVALID_ARGUMENT
     assert why in str(error.details())
+
+
+def test_scans_count_for_the_site_of_their_session_whatever_site_the_robot_names(
+    start_service: Callable[..., Service], connect: Connect, run_id: str
+) -> None:
+    service = start_service(quota={"every_s": 0.01})
+    robot = connect(service, site_id="north")
+    for seq in range(1, 13):
+        robot.ask(frame(seq))
+    robot.wait_durable(12)
+    service.close()
+    service.settings["quota"]["sites"] = {"north": 500}
+    service.start()
+    for named in ("north", "south", ""):
+        (answer,) = upload(service, run_id, [offer(6, 100)], site_id=named)
+        assert verdicts([answer]) == ["NO_ROOM"], named
 
 
 def test_a_site_at_its_quota_keeps_its_scans_on_the_robot(
