@@ -1,19 +1,22 @@
 """Scans that nobody changes any more move from their rows into blocks, and old blocks are thinned.
 
-What moves is written and deleted in one transaction, so that whatever dies, each scan is in one place. The newest scans
-stay rows: a robot that was lost and is found has those of its way placed anew (map_service/carried.py).
+What moves is written and deleted in one transaction, so that whatever dies, each scan is in one place. It is computed
+before: on a busy machine that takes longer than the second after which PostgreSQL ends an idle transaction, and
+meanwhile nothing of the session could be committed. The newest scans stay rows: a robot that was lost and is found has
+those of its way placed anew (map_service/carried.py).
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Row, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Table, delete, func, insert, select, update
 
 from map_service import carried, migrations, schema
 from map_service.block_checking import check_block
@@ -50,6 +53,34 @@ class Kept:
 
     def __add__(self, other: Kept) -> Kept:
         return Kept(self.closed + other.closed, self.thinned + other.thinned)
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A block that takes the place of rows of one table, `old`. anchors, values: rows to come; freed: bytes."""
+
+    table: Table
+    old: list[Row]
+    of_old: Sequence[ColumnElement[bool]]
+    anchors: list[dict[str, Any]]
+    values: dict[str, Any]
+    freed: int
+    kept: Kept
+
+    def fits(self, connection: Connection) -> bool:
+        """Is what it was computed from still what the store has?"""
+        _, number = self.table.primary_key.columns
+        return connection.execute(select(self.table).where(*self.of_old).order_by(number)).all() == self.old
+
+    def write(self, connection: Connection) -> None:
+        if self.anchors:
+            connection.execute(insert(_a), self.anchors)
+        deleted = connection.execute(delete(self.table).where(*self.of_old)).rowcount
+        assert deleted == len(self.old), f"{deleted} rows deleted, {len(self.old)} read"
+        connection.execute(insert(_b).values(self.values))
+        size = len(self.values["content"]) + _BLOCK_BYTES - self.freed
+        of_session = _s.c.id == self.values["session"]
+        connection.execute(update(_s).where(of_session).values(bytes=_s.c.bytes + size))
 
 
 class BlockKeeper:
@@ -92,20 +123,26 @@ class BlockKeeper:
         """The next thing to do with a session, in one transaction; None: there is nothing."""
         with self._store.reading() as connection:
             row = connection.execute(_session(key)).first()
-            if row is None or not (_may_close(connection, row) or self._thinnable(connection, row, now_s)):
+            step = None if row is None else self._next(connection, row, now_s)
+            if step is None:
                 if row is None or (row.finished and not self._thins_later(connection, row)):
                     self._settled.add(key)
                 return None
         with self._store.writing() as connection:
             # locked: a commit of the session comes before all of this or after it
             row = connection.execute(_session(key).with_for_update()).first() if alone(connection) else None
-            if row is None:
+            if row is None or not step.fits(connection):
                 return None
-            if rows := _closable(connection, row):
-                return Kept(closed=_close(connection, key, rows))
-            if blocks := self._thinnable(connection, row, now_s):
-                return Kept(thinned=self._merge(connection, key, blocks))
-            return None
+            step.write(connection)
+        return step.kept
+
+    def _next(self, connection: Connection, row: Row, now_s: float) -> _Step | None:
+        """Computed, and not yet written. Raises DataError when a block cannot tell the scans."""
+        if _may_close(connection, row) and (rows := _closable(connection, row)):
+            return _closing(connection, row.id, rows)
+        if blocks := self._thinnable(connection, row, now_s):
+            return _merging(connection, row.id, blocks, self._thin)
+        return None
 
     # -- thinning -----------------------------------------------------------------------------------------------
 
@@ -123,15 +160,6 @@ class BlockKeeper:
     def _thins_later(self, connection: Connection, row: Row) -> bool:
         query = select(_b.c.first_seq).where(_b.c.session == row.id, _b.c.thinned.is_(None)).limit(1)
         return self._config.full_rate_h > 0 and connection.execute(query).first() is not None
-
-    def _merge(self, connection: Connection, key: int, blocks: list[Row]) -> int:
-        """They become one of fewer poses; returns how many are left out."""
-        known = SessionScans(connection, key)
-        scans = joined([known.decoded(block) for block in blocks])
-        of_them = _b.c.session == key, _b.c.first_seq.in_([block.first_seq for block in blocks])
-        connection.execute(delete(_b).where(*of_them))
-        freed = sum(len(block.content) + _BLOCK_BYTES for block in blocks)
-        return _put(connection, key, scans, known.anchors, self._thin, freed)
 
 
 def _session(key: int):
@@ -157,30 +185,35 @@ def _closable(connection: Connection, session: Row) -> list[Row]:
     return rows if len(rows) == SCANS or session.finished else []
 
 
-def _close(connection: Connection, key: int, rows: list[Row]) -> int:
+def _closing(connection: Connection, key: int, rows: list[Row]) -> _Step:
     scans = scans_of_rows(rows)
     anchors = SessionScans(connection, key).anchors
     new = {keyframe: T for keyframe, T in first_seen(scans).items() if keyframe not in anchors}
-    if new:
-        connection.execute(insert(_a), [{"session": key, "keyframe": k, "pose": pack_pose(T)} for k, T in new.items()])
+    anchor_rows = [{"session": key, "keyframe": k, "pose": pack_pose(T)} for k, T in new.items()]
     moved = _f.c.session == key, _f.c.seq >= rows[0].seq, _f.c.seq <= rows[-1].seq
-    deleted = connection.execute(delete(_f).where(*moved)).rowcount
-    assert deleted == len(rows), f"{deleted} rows deleted, {len(rows)} read"
-    _put(connection, key, scans, anchors | new, FULL, FRAME_ROW_BYTES * len(rows))
-    return len(rows)
+    values, _ = _block(key, scans, anchors | new, FULL)
+    return _Step(_f, rows, moved, anchor_rows, values, FRAME_ROW_BYTES * len(rows), Kept(closed=len(rows)))
 
 
-def _put(
-    connection: Connection, key: int, scans: Scans, anchors: dict[int, Array], fidelity: Fidelity, freed: int
-) -> int:
-    """A block of scans, whose place in the store has been `freed`, bytes; returns how many are left out.
+def _merging(connection: Connection, key: int, blocks: list[Row], fidelity: Fidelity) -> _Step:
+    """They become one of fewer poses."""
+    known = SessionScans(connection, key)
+    scans = joined([known.decoded(block) for block in blocks])
+    of_them = _b.c.session == key, _b.c.first_seq.in_([block.first_seq for block in blocks])
+    freed = sum(len(block.content) + _BLOCK_BYTES for block in blocks)
+    values, left_out = _block(key, scans, known.anchors, fidelity)
+    return _Step(_b, blocks, of_them, [], values, freed, Kept(thinned=left_out))
 
-    Raises DataError when a block cannot tell them, which undoes the transaction.
+
+def _block(key: int, scans: Scans, anchors: dict[int, Array], fidelity: Fidelity) -> tuple[dict[str, Any], int]:
+    """A block's row, and how many scans have no pose of their own in it.
+
+    Raises DataError when a block cannot tell them.
     """
     content, left_out = encode_block(scans, anchors, fidelity)
     check_block(content, scans, anchors, fidelity)
     stamps_ns = scans.stamp_ns[scans.mapped].tolist()
-    values: dict[str, Any] = {
+    values = {
         "session": key,
         "first_seq": int(scans.seq[0]),
         "last_seq": int(scans.seq[-1]),
@@ -190,10 +223,7 @@ def _put(
         "thinned": left_out if fidelity.thins else None,
         "content": content,
     }
-    connection.execute(insert(_b).values(values))
-    size = len(content) + _BLOCK_BYTES - freed
-    connection.execute(update(_s).where(_s.c.id == key).values(bytes=_s.c.bytes + size))
-    return left_out
+    return values, left_out
 
 
 def reopen(connection: Connection) -> None:

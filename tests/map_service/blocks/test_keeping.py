@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -109,6 +110,54 @@ def test_the_oldest_scans_move_in_whole_blocks_and_every_reader_finds_them_there
         found = SessionPoses(connection, key).at(int(ALL.stamp_ns[20]))
     assert (found.seq_before, found.seq_after, found.thinned) == (21, 21, False)
     np.testing.assert_allclose(found.T_map_lidar, WAY[20], atol=2 * tolerances.BLOCK_POSE_M)
+
+
+def test_a_machine_that_takes_its_time_is_not_cut_off_by_the_database(
+    store: Store, key: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PostgreSQL ends a transaction that is idle for a second; and meanwhile the session could commit nothing."""
+    encode, before = block_keeping.encode_block, len(numbers(store, key))
+
+    def slow(*what) -> tuple[bytes, int]:
+        time.sleep(1.5)
+        committed(other, key, PIECES[0], PIECES[0] + 10)
+        return encode(*what)
+
+    monkeypatch.setattr(block_keeping, "encode_block", slow)
+    other = Store(store.engine.url.render_as_string(hide_password=False))
+    assert BlockKeeper(store, FULL_RATE).run(0.0, 1) == Kept(closed=SCANS)
+    other.close()
+    assert len(numbers(store, key)) in (before + 9, before + 10)  # one may be of those that are rejected
+
+
+@pytest.mark.parametrize("change", ["moved", "gone", "deleted"])
+def test_what_has_changed_since_it_was_read_stays_as_it_is(
+    store: Store, key: int, change: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the next time."""
+    encode = block_keeping.encode_block
+    statements = {
+        "moved": "UPDATE frames SET pose_keyframe_lidar = online_map_lidar WHERE seq = 3",
+        "gone": "DELETE FROM frames WHERE seq = 3",
+    }
+
+    def meanwhile(*what) -> tuple[bytes, int]:
+        if change == "deleted":
+            Catalog(other).delete(OPENING.session_id)
+        else:
+            with other.writing() as connection:
+                connection.execute(text(statements[change]))
+        return encode(*what)
+
+    monkeypatch.setattr(block_keeping, "encode_block", meanwhile)
+    other = Store(store.engine.url.render_as_string(hide_password=False))
+    assert BlockKeeper(store, FULL_RATE).run(0.0) == Kept()
+    other.close()
+    assert count(store, schema.pose_blocks) == count(store, schema.anchors) == 0
+    assert count(store, schema.frames) == {"moved": PIECES[0], "gone": PIECES[0] - 1, "deleted": 0}[change]
+    monkeypatch.undo()
+    again = BlockKeeper(store, FULL_RATE).run(0.0)
+    assert again == {"moved": Kept(closed=SCANS), "gone": Kept(closed=SCANS), "deleted": Kept()}[change]
 
 
 def test_a_session_that_goes_on_keeps_what_may_still_be_placed_anew_in_rows(store: Store, key: int) -> None:
