@@ -109,6 +109,8 @@ def migrate(engine: Engine, to: int = VERSION) -> Migrated:
     with engine.execution_options(write=True).begin() as connection:
         if connection.dialect.name == "postgresql":  # SQLite's writers wait for each other as they are
             connection.execute(select(func.pg_advisory_xact_lock(_LOCK)))
+            # a machine that has to compile the kernels of blocks first is no owner that has gone to sleep
+            connection.exec_driver_sql("SET LOCAL idle_in_transaction_session_timeout = 60000")
         found = version(connection)
         if found is None:
             schema.metadata.create_all(connection)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sqlalchemy import func, insert, select, text
+from sqlalchemy import Connection, func, insert, select, text
 
 from map_service import block_keeping, carried, schema
 from map_service.archive import backup, restore
@@ -308,7 +308,15 @@ def test_a_store_of_the_version_before_is_opened_and_keeps_its_rows_for_a_day(st
     assert keeper.run(since_s + 86_401.0) == Kept(closed=SCANS)
 
 
-def test_the_way_back_gives_every_scan_its_row_again(store: Store, key: int) -> None:
+def test_the_way_back_gives_every_scan_its_row_again(store: Store, key: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also on a machine that has to compile the kernels of blocks first."""
+    reopen = block_keeping.reopen
+
+    def slow(connection: Connection) -> None:
+        time.sleep(1.5)
+        reopen(connection)
+
+    monkeypatch.setattr(block_keeping, "reopen", slow)
     committed(store, key, *PIECES, finished=True)
     size = Catalog(store).sessions()[0].bytes
     before = numbers(store, key), followed(store, key), poses(store, key)
