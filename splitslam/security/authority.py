@@ -146,7 +146,7 @@ class Authority:
         return found
 
     def valid(self, identity: Identity) -> Issued | None:
-        """The certificate that it has here, unless that has expired or is revoked. Raises InputError as `issue` does."""
+        """Its certificate here, unless that has expired or is revoked. Raises InputError as `issue` does."""
         self._check_free(identity)
         path, revoked = self._path(identity), self.folder / REVOKED
         if not path.exists():
