@@ -27,6 +27,8 @@ def _check_path(url: URL) -> None:
     folder = Path(url.database).resolve().parent
     if not folder.is_dir():
         raise InputError(f"store: {url}: no directory {folder}")
+    if Path(url.database).is_dir():
+        raise InputError(f"store: {url}: expected a file, found a directory")
 
 
 def _configure(connection: sqlite3.Connection, _record: object) -> None:

@@ -247,6 +247,7 @@ def test_a_session_that_another_holds_locked_is_a_store_error(url: str, store: S
         ("nonsense", "expected sqlite:///FILE"),
         ("sqlite://", "expected sqlite:///FILE"),
         ("sqlite:////nowhere/at/all/map.db", "no directory /nowhere/at/all"),
+        ("sqlite:////tmp", "store: sqlite:////tmp: expected a file, found a directory"),
         ("oracle+none://user:secret@host/db", "host/db"),
     ],
 )

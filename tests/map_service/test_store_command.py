@@ -97,6 +97,8 @@ def test_a_store_is_checked_backed_up_and_restored(run: Run, tmp_path: Path, url
     )
     elsewhere = f"sqlite:///{tmp_path}/new.db"
     assert run("store", "check", store=elsewhere) == (2, "", f"store: {elsewhere}: no such file\n")
+    folder = f"sqlite:///{tmp_path}"
+    assert run("store", "check", store=folder) == (2, "", f"store: {folder}: expected a file, found a directory\n")
     assert run("store", "restore", str(file), store=elsewhere)[0] == 0
     assert run("store", "check", store=elsewhere)[1] == "sound: 2 sessions, 12 frames, 4 keyframes\n"
     store = Store(url)
