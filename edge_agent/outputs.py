@@ -81,7 +81,8 @@ class Outputs:
     def discard(self) -> None:
         """After an error: no half-written file, and no directory that was not there before."""
         for file in self._files.values():
-            file.close()
+            with contextlib.suppress(OSError):  # a full disk: what was to be written goes anyway
+                file.close()
         self._files.clear()
         with contextlib.suppress(OSError):  # the folder was never made, or someone else has put something there
             for name in (*self._NAMES, "edge.json"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from typing import Annotated, Any, NoReturn
 
@@ -10,6 +11,7 @@ import typer
 from splitslam import __version__
 from splitslam.errors import InputError
 
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
 _UsageError: Any = typer.BadParameter.__base__  # of the click that typer brings along or, in older ones, depends on
 
 
@@ -21,7 +23,8 @@ def program(name: str, about: str) -> typer.Typer:
 
 
 def call(app: typer.Typer, name: str) -> Any:
-    """Does what the command line asks for; its exit code, if it has one. A mistake ends the process with 2."""
+    """Does what the command line asks for; its exit code, if it has one. A mistake ends the process with 2, a disk that
+    fails or is full with 1."""
     try:
         return typer.main.get_command(app)(prog_name=name, standalone_mode=False)
     except InputError as error:
@@ -32,6 +35,10 @@ def call(app: typer.Typer, name: str) -> Any:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else name
         end(f"{command}: {error.format_message().rstrip('.')} (see `{command} --help`)", InputError.exit_code)
+    except OSError as error:
+        if error.errno not in _DISK:
+            raise
+        end(f"{error.filename or name}: {error.strerror}", 1)
 
 
 def end(line: str, exit_code: int) -> NoReturn:

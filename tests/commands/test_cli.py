@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -9,9 +10,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import pytest
+import typer
 
+from splitslam.program import call, program
 from splitslam.run.options import RunOptions
 from tests.commands import fakes
 from tests.conftest import ROOT
@@ -100,6 +104,29 @@ def test_a_program_without_arguments_shows_its_help_and_no_mistake():
     assert exit_code == 2
     assert "Usage: splitslam" in out + err
     assert "(see `splitslam --help`)" not in err
+
+
+@pytest.mark.parametrize(("name", "said"), [("/x/map.ply", "/x/map.ply"), (None, "map-service")])
+def test_a_full_disk_is_one_line_of_every_program(
+    name: str | None, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def app(number: int) -> typer.Typer:
+        made = program("map-service", "")
+
+        @made.command()
+        def write() -> None:
+            raise OSError(number, os.strerror(number), name)
+
+        return made
+
+    with (
+        mock.patch.object(sys, "argv", ["map-service", "write"]),
+        pytest.raises(SystemExit, match="1"),
+    ):
+        call(app(errno.ENOSPC), "map-service")
+    assert capsys.readouterr().err == f"{said}: No space left on device\n"
+    with mock.patch.object(sys, "argv", ["map-service", "write"]), pytest.raises(OSError, match="Bad file"):
+        call(app(errno.EBADF), "map-service")  # a defect keeps its traceback
 
 
 def run_arguments(options: RunOptions) -> list[object]:

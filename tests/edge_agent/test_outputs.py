@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from io import BufferedWriter, FileIO, TextIOWrapper
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,15 @@ def test_nothing_is_there_before_publish_and_everything_after(tmp_path: Path):
 
 def test_discard_leaves_no_file_and_no_folder_that_was_not_there(tmp_path: Path):
     outputs = Outputs(tmp_path / "a" / "out")
+    outputs.online(reply())
+    outputs.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_does_not_keep_discard_from_what_it_is_for(tmp_path: Path):
+    outputs = Outputs(tmp_path / "a" / "out")
+    outputs._files["online.tum"].close()
+    outputs._files["online.tum"] = TextIOWrapper(BufferedWriter(FileIO("/dev/full", "w")))
     outputs.online(reply())
     outputs.discard()
     assert list(tmp_path.iterdir()) == []
