@@ -22,7 +22,7 @@ from tests.logs.said import said
 
 # On a busy machine a service that is well takes its time: only where silence is the fault is a robot less patient.
 PATIENT = UplinkConfig(
-    welcome_timeout_s=10.0,
+    welcome_timeout_s=5.0,
     welcome_timeout_max_s=10.0,
     watchdog_s=10.0,
     answer_timeout_s=10.0,
