@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from edge_agent.backoff import jittered
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService, Fault
@@ -31,6 +33,15 @@ def test_a_silent_replica_is_not_wanted_again():
         send_all(uplink, 5)
     assert service.wishes == ["", ""]
     assert [hello.attempt for hello in service.hellos] == [0, 1]
+
+
+def test_silence_after_a_welcome_is_felt_in_its_time_however_long_the_welcome_might_have_taken():
+    settings = PATIENT.model_copy(update={"welcome_timeout_s": 10.0, "watchdog_s": SOON_S})
+    with FakeService(faults={1: Fault.SILENT}) as service, uplink_to(service.address, settings) as uplink:
+        began_s = time.monotonic()
+        send_all(uplink, 1)
+        assert SOON_S <= time.monotonic() - began_s < 8.0
+    assert len(service.hellos) == 2
 
 
 def test_a_replica_that_refuses_is_left_at_once_and_not_wanted_again():
