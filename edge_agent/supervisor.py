@@ -159,7 +159,8 @@ class Supervisor:
             self._shared.changed.notify_all()
             if dialogue.may_say(now_s):
                 self._shared.to_say.notify_all()
-            if dialogue.stream.ended is not None or dialogue.finished is not None:
+            # a Welcome brings a nearer deadline than the one that is waited for
+            if response.HasField("welcome") or dialogue.stream.ended is not None or dialogue.finished is not None:
                 self._shared.broken.notify_all()
 
     def _on_end(self, stream: Stream, ending: Ending) -> None:

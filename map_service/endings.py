@@ -76,10 +76,10 @@ class Endings:
             return
         if row is None:
             raise FencedError("the session was deleted")
+        _log.info("session finished", extra=fields(session_id=row.session_id, mapped=row.frames))
         if session.stream is not None:
             finished = pb.Finished(
                 mapped=row.frames, keyframes=row.keyframes, loops=row.loops, gnss_factors=row.gnss_factors
             )
             self._send(Reply(session.stream, pb.StreamResponse(finished=finished).SerializeToString(), last=True))
-        _log.info("session finished", extra=fields(session_id=row.session_id, mapped=row.frames))
         self._sessions.drop(session.request.session_id)

@@ -109,12 +109,15 @@ class SessionHost:
 
     def _attach(self, session: Session, stream: int) -> None:
         self.sessions.attach(session, stream)
+        name, log = (
+            session.request.session_id,
+            session.log,
+        )  # said before the robot, which may go on at once
+        _log.info("session open", extra=fields(session_id=name, epoch=log.epoch, durable_seq=log.durable_seq))
         self._send(Reply(stream, pb.StreamResponse(welcome=session.welcome()).SerializeToString()))
         if self.config.advice.max_kbps:
             advice = pb.Advice(max_kbps=self.config.advice.max_kbps)
             self._send(Reply(stream, pb.StreamResponse(advice=advice).SerializeToString()))
-        name, log = session.request.session_id, session.log
-        _log.info("session open", extra=fields(session_id=name, epoch=log.epoch, durable_seq=log.durable_seq))
 
     def _request(self, message: Request) -> None:
         session = self.sessions.on(message.stream)

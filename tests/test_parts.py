@@ -61,7 +61,7 @@ def test_a_signal_ends_every_part_and_what_it_has_started(
         try:
             wait_until(lambda: len(list(pids.iterdir())) == 6, 30.0, "three parts and what each has started")
             whole.send_signal(number)
-            assert whole.wait(30.0) == 128 + number
+            assert whole.wait(60.0) == 128 + number
             left = [int(path.name) for path in pids.iterdir() if running(int(path.name))]
             assert left == []
         finally:

@@ -18,7 +18,7 @@ TEMPLATE = Path(__file__).with_name("envoy.yaml")  # deploy/envoy/envoy.yaml
 TLS_TEMPLATE = Path(__file__).with_name("envoy-tls.yaml")  # deploy/envoy/envoy-tls.yaml
 SDS = Path(__file__).with_name("sds")  # deploy/envoy/sds
 _DEPLOYED_TLS, _DEPLOYED_SDS = "/etc/envoy/tls", "/etc/envoy/sds"
-_START_S, _STOP_S, _ASK_S = 20.0, 3.0, 2.0
+_START_S, _STOP_S, _ASK_S = 60.0, 3.0, 10.0
 
 
 class EnvoyProxy(StackProcess):

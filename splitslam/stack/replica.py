@@ -16,6 +16,7 @@ from splitslam.stack.process import StackProcess, free_port, wait_until
 PROGRAM = (sys.executable, "-m", "map_service")
 START_S = 120.0  # the very first start on a machine compiles the kernels
 DRAIN_S = 10.0
+_ASK_S = 30.0  # on a busy machine
 
 
 class Replica(StackProcess):
@@ -78,6 +79,6 @@ class Replica(StackProcess):
 
     def metrics(self) -> dict[str, float]:
         """Every sample of its /metrics by name and labels."""
-        with urllib.request.urlopen(f"http://127.0.0.1:{self.metrics_port}/metrics", timeout=2.0) as page:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.metrics_port}/metrics", timeout=_ASK_S) as page:
             lines = page.read().decode().splitlines()
         return {name: float(value) for name, value in (l.rsplit(" ", 1) for l in lines if not l.startswith("#"))}

@@ -14,7 +14,7 @@ from splitslam.stack.postgres import PostgresServer
 from splitslam.stack.process import check_stack_installed, wait_until
 from splitslam.stack.replica import DRAIN_S, PROGRAM, Replica
 
-_HEALTHY_S = 10.0
+_HEALTHY_S = 60.0
 
 
 def service_tls(folder: Path) -> dict[str, str]:

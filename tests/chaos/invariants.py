@@ -21,7 +21,7 @@ from splitslam.wire.types_pb2 import StampedPose
 from tests import tolerances as bars
 from tests.chaos.light_robot import LightRobot
 
-_GONE_S, _ASK_S = 5.0, 30.0
+_GONE_S, _ASK_S = 30.0, 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,7 +48,7 @@ def link(echo: str) -> Iterator[Link]:
         yield link
 
 
-def connect(link: Link, timeout_s: float = 5.0) -> socket.socket:
+def connect(link: Link, timeout_s: float = 30.0) -> socket.socket:
     host, _, port = link.address.rpartition(":")
     return socket.create_connection((host, int(port)), timeout_s)
 
@@ -82,11 +82,11 @@ def test_a_slow_link_carries_what_it_is_rated_for(link: Link):
 
 
 def test_delay_is_one_way_and_costs_no_throughput(link: Link):
-    link.quality = Quality(delay_s=0.15)
+    link.quality = Quality(delay_s=0.5)
     with connect(link) as end:
         start_s = time.monotonic()
         ask(end)
-        assert 0.3 <= time.monotonic() - start_s < 5.0
+        assert 1.0 <= time.monotonic() - start_s < 15.0
         start_s = time.monotonic()
         for number in range(20):
             end.sendall(bytes([number]))
@@ -95,7 +95,7 @@ def test_delay_is_one_way_and_costs_no_throughput(link: Link):
         while len(back) < 20:
             back += end.recv(100)
         assert back == bytes(range(20))
-        assert time.monotonic() - start_s < 3.0, "one after the other they would take 6 s"
+        assert time.monotonic() - start_s < 15.0, "one after the other they would take 20 s"
 
 
 def test_a_lost_packet_is_a_stall_and_not_a_hole(link: Link):
@@ -115,7 +115,7 @@ def test_a_partition_is_silent_and_what_was_under_way_arrives_when_it_heals(link
         with pytest.raises(TimeoutError):
             end.recv(10)
         link.heal()
-        end.settimeout(5.0)
+        end.settimeout(30.0)
         assert end.recv(10) == b"later"
 
 

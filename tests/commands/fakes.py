@@ -98,7 +98,9 @@ def statistics_json() -> dict:
 
 def _note_pid(name: str) -> None:
     if folder := os.environ.get("FAKE_PIDS"):
-        Path(folder, f"{name}.pid").write_text(str(os.getpid()))
+        made = Path(f"{folder}.{name}")
+        made.write_text(str(os.getpid()))
+        made.rename(Path(folder, f"{name}.pid"))  # whole, as this process may be killed at any moment
 
 
 def _edge(mode: str, config: dict) -> int:

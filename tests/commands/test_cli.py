@@ -36,7 +36,7 @@ def splitslam(*arguments: object, fake: tuple[str, str] | None = None, **environ
 
 def finished(*arguments: object, fake: tuple[str, str] | None = None) -> tuple[int, str, str]:
     with splitslam(*arguments, fake=fake) as process:
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=200)
         return process.returncode, out, err
 
 
@@ -166,7 +166,7 @@ def test_both_programs_end_with_the_command_however_it_is_ended(
         _wait_for(lambda: len(list(pids.iterdir())) == 2)
         time.sleep(0.3)
         process.send_signal(number)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=100)
     assert process.returncode == expected
     _wait_for(lambda: not any(_runs(int(path.read_text())) for path in pids.iterdir()))
     assert not options.out.exists()
@@ -183,7 +183,7 @@ def _runs(pid: int) -> bool:
 
 
 def _wait_for(condition) -> None:
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < deadline_s, "waited in vain"
         time.sleep(0.02)

@@ -198,6 +198,7 @@ def test_options_beat_the_environment_and_that_beats_the_file(
     monkeypatch.setenv("SPLITSLAM_EDGE__SERVER", "10.0.0.1:1")
     monkeypatch.setenv("SPLITSLAM_EDGE__UPLINK__MAX_KBPS", "200")
     monkeypatch.setenv("FAKE_CONFIG", str(tmp_path / "seen.json"))
+    monkeypatch.delenv("SPLITSLAM_DATA", raising=False)  # of these tests themselves
     run(
         replace(
             options, config=file, max_kbps=300.0, deskew="cpu", disable=("loops", "gnss"), max_scans=7, realtime=True

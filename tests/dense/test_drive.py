@@ -26,6 +26,7 @@ from splitslam.sim.recorder import SimRecording, simulate
 from splitslam.sim.world import make_world
 from splitslam.tum import read_tum
 from tests import tolerances
+from tests.conftest import ROOT
 from tests.e2e.commands import splitslam
 from tests.e2e.test_restart import kill, start_service
 
@@ -58,15 +59,15 @@ class Rack:
         }
         config = self.folder / f"{name}.yaml"
         config.write_text(json.dumps(values))
-        command = [sys.executable, "-m", "edge_agent", "run", "--config", str(config)]
-        return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        command = [sys.executable, "-m", "tests.edge_agent.unhurried", "run", "--config", str(config)]
+        return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
     def drive(self, name: str, **uplink: Any) -> dict[str, Any]:
         """A whole run."""
         return self.report(self.agent(name, f"state-{name}", **uplink), name)
 
     def report(self, agent: subprocess.Popen[str], name: str) -> dict[str, Any]:
-        _, stderr = agent.communicate(timeout=100)
+        _, stderr = agent.communicate(timeout=200)
         assert agent.returncode == 0, stderr
         return json.loads((self.folder / name / "edge.json").read_text())
 
@@ -162,7 +163,7 @@ def off_m(keyframes: list[StoredKeyframe], made: SimRecording) -> np.ndarray:
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
-    until_s = time.monotonic() + 40.0
+    until_s = time.monotonic() + 100.0
     while not condition():
         assert time.monotonic() < until_s, what
         time.sleep(0.02)

@@ -40,7 +40,7 @@ def test_only_keyframes_stay_whenever_the_answer_comes(shelf: CloudShelf):
 
 def test_what_comes_too_fast_is_a_loss_only_of_keyframes(shelf: CloudShelf, monkeypatch: pytest.MonkeyPatch):
     gate = threading.Event()
-    monkeypatch.setattr(module.dense_cloud, "encode", lambda *_: b"cloud" if gate.wait(10) else b"")
+    monkeypatch.setattr(module.dense_cloud, "encode", lambda *_: b"cloud" if gate.wait(60) else b"")
     keeper = CloudKeeper(shelf, STEP_M, lockstep=False)
     for seq in range(1, 11):  # four wait, or are at work
         keeper.keep(whole_scan(seq, 1))

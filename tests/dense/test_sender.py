@@ -39,7 +39,7 @@ def sending(shelf: CloudShelf, service: Service, link: OpenLink) -> Iterator[Clo
         sender.close()
 
 
-def wait_until(condition: Callable[[], bool], within_s: float = 20.0) -> None:
+def wait_until(condition: Callable[[], bool], within_s: float = 60.0) -> None:
     until_s = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < until_s

@@ -98,7 +98,7 @@ class MapService(StackProcess):
         """The image's HEALTHCHECK."""
         check = IMAGE.command("HEALTHCHECK")
         command = self._with_environment((str(BIN / check[0]), *check[1:]))
-        return subprocess.run(command, capture_output=True, timeout=30).returncode == 0
+        return subprocess.run(command, capture_output=True, timeout=60).returncode == 0
 
     def _with_environment(self, command: Sequence[str]) -> tuple[str, ...]:
         return ("env", *(f"{key}={value}" for key, value in self._said.items()), *command)
@@ -117,7 +117,7 @@ class Envoy(EnvoyProxy):
         """Compose's health check."""
         check = compose.SERVICES["envoy"]["healthcheck"]["test"][1:]
         command = [word.replace("9901", str(self.admin_port)) for word in check]
-        return subprocess.run(command, capture_output=True, timeout=10).returncode == 0
+        return subprocess.run(command, capture_output=True, timeout=60).returncode == 0
 
 
 class Prometheus(StackProcess):
@@ -210,7 +210,7 @@ class NativeRack:
         """Compose's health check."""
         check = compose.SERVICES["postgres"]["healthcheck"]["test"][1:]
         command = (binary(check[0]), *check[1:], "-p", str(self.postgres.port))
-        return subprocess.run(command, capture_output=True, timeout=10).returncode == 0
+        return subprocess.run(command, capture_output=True, timeout=60).returncode == 0
 
     def stop(self, replica: MapService) -> int | None:
         """As `docker stop` does: its signal, and SIGKILL after compose's grace."""

@@ -69,7 +69,7 @@ class Newcomer:
         for process in self._running:
             assert process.stdout is not None
             process.stdout.close()
-            assert process.wait(30) == 0
+            assert process.wait(60) == 0
 
 
 def test_every_command_of_the_page_works_in_its_order(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from splitslam.tum import read_tum, tum_line
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from tests import tolerances as bars
+from tests.conftest import ROOT
 from tests.e2e.test_restart import kill, start_service
 from tests.edge_agent.relay import CountingRelay
 
@@ -37,8 +38,8 @@ def agent(folder: Path, recording: Path, server: str, out: str) -> subprocess.Po
     }
     config = folder / f"{out}.yaml"
     config.write_text(json.dumps(values))
-    command = [sys.executable, "-m", "edge_agent", "run", "--config", str(config)]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    command = [sys.executable, "-m", "tests.edge_agent.unhurried", "run", "--config", str(config)]
+    return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
 
 def wait_until(condition: Callable[[], bool], what: str, within_s: float = 60.0) -> None:
@@ -63,7 +64,7 @@ def test_a_killed_agent_and_a_network_that_is_away_cost_no_scan(shared_data: Pat
             sessions = rpc.SessionServiceStub(channel)
 
             def stored() -> int:
-                return max((s.durable_seq for s in sessions.List(pb.ListRequest(), timeout=10).sessions), default=0)
+                return max((s.durable_seq for s in sessions.List(pb.ListRequest(), timeout=30).sessions), default=0)
 
             wait_until(lambda: stored() >= 30, "the run never began")
             relay.away = True
@@ -78,10 +79,10 @@ def test_a_killed_agent_and_a_network_that_is_away_cost_no_scan(shared_data: Pat
             wait_until(lambda: spooled_bytes(tmp_path) > left + 20 * 1000, "it did not go on without the network")
             assert stored() <= known
             relay.away = False
-            _, stderr = processes[1].communicate(timeout=90)
+            _, stderr = processes[1].communicate(timeout=200)
             assert processes[1].returncode == 0, stderr
             assert "run continued" in stderr
-            (session,) = sessions.List(pb.ListRequest(), timeout=10).sessions
+            (session,) = sessions.List(pb.ListRequest(), timeout=30).sessions
             chunks = sessions.Trajectory(pb.TrajectoryRequest(session_id=session.session_id))
             poses = [pose for chunk in chunks for pose in chunk.poses]
     finally:

@@ -65,7 +65,7 @@ class Drive:
 
 
 def scrape(address: str) -> Page:
-    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as page:
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=30) as page:
         return Page(page.read().decode())
 
 
@@ -121,7 +121,7 @@ def drive(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
             page = scrape(started["metrics"])
         finally:
             rack.terminate()
-            rack.wait(15)
+            rack.wait(60)
             rack.stdout.close()
     return Drive(
         edge=Page((folder / "out" / "metrics.prom").read_text()),

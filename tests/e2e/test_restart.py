@@ -10,14 +10,18 @@ import threading
 import time
 from pathlib import Path
 
+from splitslam.stack.process import free_port
 from tests import tolerances as bars
 from tests.e2e.commands import BIN, Run, splitslam
 
 
 def start_service(store: Path, port: int = 0) -> tuple[subprocess.Popen[str], str]:
-    """The service on loopback; returns it and its HOST:PORT once it listens."""
+    """The service on loopback; returns it and its HOST:PORT once it listens.
+
+    port: to start it again; 0: one that no outgoing connection takes while it is dead, as the robot's own might.
+    """
     service = subprocess.Popen(
-        [str(BIN / "map-service"), "serve", "--listen", f"127.0.0.1:{port}", "--store", f"sqlite:///{store}",
+        [str(BIN / "map-service"), "serve", "--listen", f"127.0.0.1:{port or free_port()}", "--store", f"sqlite:///{store}",
          "--workers", "1", "--metrics-port", "0"],
         stdout=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
@@ -39,7 +43,7 @@ def frames_stored(server: str) -> int:
 
     with grpc.insecure_channel(server) as channel:
         stub = session_pb2_grpc.SessionServiceStub(channel)
-        sessions = stub.List(session_pb2.ListRequest(), timeout=10).sessions
+        sessions = stub.List(session_pb2.ListRequest(), timeout=30).sessions
     return max((s.durable_seq for s in sessions), default=0)
 
 
@@ -54,7 +58,7 @@ def test_a_killed_service_costs_no_scan_and_no_accuracy(yard1, yard1_as_it_is, t
     runner = threading.Thread(target=lambda: outcome.append(splitslam("run", str(recording), *options)))
     runner.start()
     try:
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 240
         while frames_stored(server) < 375:
             assert time.monotonic() < deadline, "the run never came half way"
             time.sleep(0.2)

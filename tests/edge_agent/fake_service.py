@@ -46,6 +46,7 @@ class FakeService(rpc.EdgeServiceServicer):
     answer_delay_s: float = 0.0
     advice: pb.Advice | None = None  # after the Welcome
     welcome_after_s: float = 0.0  # with credits meanwhile
+    welcome_when: Callable[[], bool] = lambda: True  # not before; with credits meanwhile
     name: str = ""  # what a proxy calls this replica
     drain_to: str = ""
     pose_x_m: Callable[[int], float] = float
@@ -111,7 +112,9 @@ class FakeService(rpc.EdgeServiceServicer):
             yield pb.StreamResponse(refused=pb.Refused(reason=pb.REFUSED_REASON_FINISHED))
             return
         until_s = time.monotonic() + self.welcome_after_s
-        while time.monotonic() < until_s:
+        while time.monotonic() < until_s or not self.welcome_when():
+            if not context.is_active():
+                return
             yield pb.StreamResponse(credit=pb.Credit(window=self.window))  # it has not read the session yet
             time.sleep(self.credit_s)
         self.epoch += 1
@@ -149,7 +152,7 @@ class FakeService(rpc.EdgeServiceServicer):
     def _wait_for_end(context: grpc.ServicerContext) -> None:
         over = threading.Event()
         context.add_callback(over.set)
-        over.wait(20.0)
+        over.wait(60.0)
 
     def apply(self, frame: pb.Frame) -> pb.Odometry:
         """The stored answer for a frame seen before, a new one otherwise."""

@@ -17,6 +17,7 @@ class CountingRelay:
         self._target = target
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._sockets: list[socket.socket] = []
+        self._lock = threading.Lock()  # what was accepted before a cut is cut
         self.up = self.down = 0
         self.away = False
         self.turned_away = 0
@@ -32,23 +33,25 @@ class CountingRelay:
                 near, _ = self._listener.accept()
             except OSError:
                 return
-            if self.away:
-                self.turned_away += 1
-                near.close()
-                continue
-            try:
-                far = socket.create_connection(self._target)
-            except OSError:  # nobody is there
-                near.close()
-                continue
-            self._sockets += [near, far]
+            with self._lock:
+                if self.away:
+                    self.turned_away += 1
+                    near.close()
+                    continue
+                try:
+                    far = socket.create_connection(self._target)
+                except OSError:  # nobody is there
+                    near.close()
+                    continue
+                self._sockets += [near, far]
             threading.Thread(target=self._pump, args=(near, far, "up"), daemon=True).start()
             threading.Thread(target=self._pump, args=(far, near, "down"), daemon=True).start()
 
     def _pump(self, source: socket.socket, sink: socket.socket, way: str) -> None:
         try:
             while data := source.recv(65536):
-                setattr(self, way, getattr(self, way) + len(data))
+                with self._lock:
+                    setattr(self, way, getattr(self, way) + len(data))
                 sink.sendall(data)
         except OSError:
             pass
@@ -58,9 +61,10 @@ class CountingRelay:
 
     def cut(self) -> None:
         """Breaks every connection at once; new ones are accepted."""
-        for end in self._sockets:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
+        with self._lock:
+            for end in self._sockets:
+                with contextlib.suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         self._listener.close()

@@ -10,11 +10,11 @@ from edge_agent.dialogue import Dialogue
 from edge_agent.metrics import EdgeMetrics
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
-from tests.edge_agent.test_uplink import FAST, frame
+from tests.edge_agent.test_uplink import PATIENT, frame
 
 
 def test_a_wish_for_a_dense_frame_does_not_lift_the_advised_limit():
-    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
+    dialogue = Dialogue(pb.Hello(), PATIENT, EdgeMetrics())
     for advice, limit in ((pb.Advice(max_kbps=120), 120), (pb.Advice(want_dense=True), 120), (pb.Advice(), None)):
         dialogue.receive(pb.StreamResponse(advice=advice), 0.0)
         assert dialogue.limit_kbps == limit
@@ -22,7 +22,7 @@ def test_a_wish_for_a_dense_frame_does_not_lift_the_advised_limit():
 
 def test_a_credit_before_the_welcome_is_a_sign_of_life_and_takes_nothing_back():
     """It says durable_seq 0, as its service has not read the session yet."""
-    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
+    dialogue = Dialogue(pb.Hello(), PATIENT, EdgeMetrics())
     for seq in range(1, 5):
         dialogue.keep(frame(seq), 0.0)
     dialogue.begin(0.0)
@@ -46,7 +46,7 @@ def test_a_credit_before_the_welcome_is_a_sign_of_life_and_takes_nothing_back():
 def test_reasons_of_a_later_service_mean_what_they_say_of_trying_again(retry_after_ms: int):
     """Protobuf's enums are open: a number that has no name here is no error."""
     later: Any = 99
-    dialogue = Dialogue(pb.Hello(), FAST, EdgeMetrics())
+    dialogue = Dialogue(pb.Hello(), PATIENT, EdgeMetrics())
     stream = dialogue.begin(0.0)
     refused = pb.Refused(reason=later, detail="why", retry_after_ms=retry_after_ms)
     dialogue.receive(pb.StreamResponse(refused=refused), 0.0)

@@ -19,6 +19,7 @@ from splitslam.errors import InputError
 from splitslam.wire import local_pb2 as pb
 from splitslam.wire import local_pb2_grpc as rpc
 
+WAIT_S = 30.0
 T_BODY_LIDAR = se3.compose(se3.so3_exp(np.array([0.0, 0.0, 0.5])), np.array([0.2, 0.0, 0.4]))
 
 
@@ -61,13 +62,13 @@ class Watcher(threading.Thread):
             pass
 
     def wait(self, count: int) -> None:
-        deadline_s = time.monotonic() + 5.0
+        deadline_s = time.monotonic() + WAIT_S
         while len(self.samples) < count and time.monotonic() < deadline_s:
             time.sleep(0.01)
 
 
 def wait_for_readers(metrics: EdgeMetrics, count: int) -> None:
-    deadline_s = time.monotonic() + 5.0
+    deadline_s = time.monotonic() + WAIT_S
     while metrics.feed_readers.values()[()] != count and time.monotonic() < deadline_s:
         time.sleep(0.01)
 

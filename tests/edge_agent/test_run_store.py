@@ -19,7 +19,7 @@ from splitslam.errors import InputError
 from splitslam.wire import session_pb2 as pb
 from tests.edge_agent.fake_service import FakeService
 from tests.edge_agent.test_spool import frame
-from tests.edge_agent.test_uplink import FAST, seqs
+from tests.edge_agent.test_uplink import PATIENT, seqs
 from tests.logs.said import said
 
 
@@ -40,7 +40,7 @@ class Agent:
     def __init__(self, folder: Path, server: str = "127.0.0.1:9", said: pb.Hello | None = None) -> None:
         config = validate(AgentConfig, {
             "robot": "r.yaml", "source": {"recording": "r.bag"}, "server": server, "state_dir": str(folder),
-            "uplink": FAST.model_dump() | {"reconnect_timeout_s": None},
+            "uplink": PATIENT.model_dump() | {"reconnect_timeout_s": None},
         }, "test")  # fmt: skip
         self.metrics = EdgeMetrics()
         said = said or hello()
@@ -70,7 +70,7 @@ def spool_folders(folder: Path) -> list[str]:
 
 
 def wait_until(condition) -> None:
-    deadline_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + 30.0
     while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.02)

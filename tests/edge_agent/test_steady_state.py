@@ -93,7 +93,7 @@ def test_a_warm_start_is_quick_and_no_scan_waits_for_a_compiler(shared_data: Pat
         }
         (tmp_path / "agent.yaml").write_text(yaml.safe_dump(values))
         command = [sys.executable, "-m", "tests.edge_agent.watched_agent", str(tmp_path / "agent.yaml")]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr[-2000:]
     report = json.loads(done.stdout.splitlines()[-1])
     assert report["warm"] > 50

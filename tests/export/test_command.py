@@ -218,6 +218,6 @@ def test_a_signal_ends_it_without_a_trace(number: signal.Signals, tmp_path: Path
         assert process.stdout.readline() == "half\n"
         time.sleep(0.1)
         process.send_signal(number)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=100)
     assert (process.returncode, err) == (130, "interrupted\n")
     assert list(tmp_path.iterdir()) == []

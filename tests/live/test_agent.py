@@ -40,7 +40,7 @@ class Agent:
     log: Path
 
     def metric(self, name: str) -> float:
-        with urllib.request.urlopen(f"{self.metrics}", timeout=10) as page:
+        with urllib.request.urlopen(f"{self.metrics}", timeout=30) as page:
             (value,) = re.findall(rf"^{re.escape(name)} (\S+)$", page.read().decode(), re.MULTILINE)
         return float(value)
 
@@ -132,7 +132,7 @@ def test_a_velodyne_on_the_wire_is_mapped_its_silence_is_said_and_a_signal_ends_
     heard(notifications, "lidar silent for")
     wait_for(agent, 'splitslam_edge_sensor_losses_total{sensor="lidar"}', 1)
     agent.process.send_signal(signal.SIGTERM)
-    assert agent.process.wait(20.0) == 0
+    assert agent.process.wait(WAIT_S) == 0
     said = [json.loads(line) for line in agent.log.read_text().splitlines() if line.startswith("{")]
     chosen = [line for line in said if line["event"] == "sensor clock chosen"]
     assert [(line["sensor"], line["taken_from"]) for line in chosen] == [("lidar", "gps")]

@@ -22,7 +22,7 @@ from edge_agent.sources.live.ports import Port
 from edge_agent.sources.live.stream_ports import SerialPort, TcpPort
 from edge_agent.sources.live.udp_port import UdpPort
 from splitslam.errors import InputError
-from splitslam.stack.process import free_port
+from splitslam.stack.process import free_port, wait_until
 from tests.live import wire
 
 
@@ -38,7 +38,7 @@ def is_ready(port: Port) -> bool:
     return bool(poll.poll(20))
 
 
-def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.0) -> bytes:
+def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 30.0) -> bytes:
     """What comes, tended as the source does."""
     got, deadline_s = b"", time.monotonic() + timeout_s
     while not done(got):
@@ -46,6 +46,13 @@ def read_until(port: Port, done: Callable[[bytes], bool], timeout_s: float = 10.
         port.tend()
         if port.fileno is not None and is_ready(port):
             got += b"".join(data for data, _ in port.read())
+    return got
+
+
+def packets_of(port: Port, count: int) -> list[bytes]:
+    """So many, and no more than have come by then: the system may deliver a moment later on a busy machine."""
+    got: list[bytes] = []
+    wait_until(lambda: bool(got.extend(data for data, _ in port.read()) or len(got) >= count), 30.0, f"{count} packets")
     return got
 
 
@@ -57,6 +64,7 @@ def test_a_packet_keeps_the_time_at_which_it_came_although_nobody_looked():
             out.sendto(b"early", ("127.0.0.1", port.port))
             sent_ns = clock.now_ns()
             time.sleep(0.1)
+            wait_until(lambda: is_ready(port), 30.0, "the packet")
             ((data, arrival_ns),) = port.read()
             if stamped := arrival_ns < sent_ns + 50_000_000:
                 break
@@ -73,8 +81,7 @@ def test_what_a_full_buffer_loses_is_counted():
             out.sendto(bytes(1206), ("127.0.0.1", port.port))
         got = len(list(port.read()))
         out.sendto(b"one more, that says so", ("127.0.0.1", port.port))
-        time.sleep(0.05)
-    got += len(list(port.read()))
+    got += len(packets_of(port, 1))
     assert 0 < got < 101
     assert got + port.counts["overflow"] == 101
     port.close()
@@ -87,8 +94,7 @@ def test_packets_of_another_sender_are_counted_and_left_out():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.bind(("127.0.0.9", 0))
         out.sendto(b"ours", ("127.0.0.1", port.port))
-    time.sleep(0.05)
-    assert [data for data, _ in port.read()] == [b"ours"]
+    assert packets_of(port, 1) == [b"ours"]
     assert port.counts == {"sender": 1}
     port.close()
 
@@ -109,7 +115,7 @@ def test_a_serial_device_that_is_not_there_yet_is_waited_for_and_opened_again_wh
         tty.setraw(terminal)
         device.unlink(missing_ok=True)
         device.symlink_to(os.ttyname(terminal))
-        deadline_s = time.monotonic() + 10.0
+        deadline_s = time.monotonic() + 30.0
         while port.fileno is None:
             assert time.monotonic() < deadline_s
             port.tend()
@@ -117,7 +123,7 @@ def test_a_serial_device_that_is_not_there_yet_is_waited_for_and_opened_again_wh
         assert read_until(port, lambda got, text=text: got.endswith(text)) == text
         os.close(terminal)
         os.close(controller)
-        deadline_s = time.monotonic() + 5.0
+        deadline_s = time.monotonic() + 30.0
         while port.fileno is not None and time.monotonic() < deadline_s:
             list(port.read())
         assert port.fileno is None
@@ -136,7 +142,7 @@ def test_a_serial_device_that_vanishes_while_it_is_opened_is_waited_for(
         port = SerialPort("imu", Serial(device=device), ArrivalClock())
         assert port.fileno is None
         patched.undo()
-        deadline_s = time.monotonic() + 10.0
+        deadline_s = time.monotonic() + 30.0
         while port.fileno is None and time.monotonic() < deadline_s:
             port.tend()
         assert port.fileno is not None
@@ -169,7 +175,7 @@ def test_a_server_that_goes_away_is_connected_to_again():
     for text in (b"first", b"second"):
         port.tend()
         time.sleep(0.01)
-        deadline_s = time.monotonic() + 10.0
+        deadline_s = time.monotonic() + 30.0
         server.settimeout(0.05)
         while True:
             assert time.monotonic() < deadline_s
@@ -201,9 +207,9 @@ def test_nobody_listening_is_tried_again_without_an_end():
 
 
 def test_arrivals_do_not_follow_the_wall_clock(monkeypatch: pytest.MonkeyPatch):
-    clock = ArrivalClock()
+    clock, step_ns, soon_ns = ArrivalClock(), 3_600_000_000_000, 60_000_000_000  # on a busy machine
     before_ns, real_ns = clock.now_ns(), time.time_ns
-    monkeypatch.setattr(time, "time_ns", lambda: real_ns() - 3_600_000_000_000)
-    assert 0 <= clock.now_ns() - before_ns < 1_000_000_000
-    assert 0 <= clock.of_wall_ns(real_ns()) - before_ns < 1_000_000_000  # a stamp of before the step
-    assert 0 <= clock.of_wall_ns(real_ns() - 3_600_000_000_000) - before_ns < 1_000_000_000
+    monkeypatch.setattr(time, "time_ns", lambda: real_ns() - step_ns)
+    assert 0 <= clock.now_ns() - before_ns < soon_ns
+    assert 0 <= clock.of_wall_ns(real_ns()) - before_ns < soon_ns  # a stamp of before the step
+    assert 0 <= clock.of_wall_ns(real_ns() - step_ns) - before_ns < soon_ns

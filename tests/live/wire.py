@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import select
 import threading
 import time
 import tty
@@ -72,11 +73,18 @@ class Listener:
     def until_quiet(self, quiet_s: float = 0.6) -> None:
         """Nothing more has come, and all that waited has been handed on."""
         self.until(lambda: self._packets() > 0)
-        while (before := (self._packets(), len(self.heard))) and (time.sleep(quiet_s) or before) != (
-            self._packets(),
-            len(self.heard),
-        ):
-            pass
+        before = None
+        while self._waits() or before != (self._packets(), len(self.heard)):
+            before = self._packets(), len(self.heard)
+            time.sleep(quiet_s)
+
+    def _waits(self) -> bool:
+        """Something has come that the source has not read yet, as it may be on a busy machine."""
+        poll = select.poll()
+        for one in self.source.inputs:
+            if one.port.fileno is not None:
+                poll.register(one.port.fileno, select.POLLIN)
+        return any(event & select.POLLIN for _, event in poll.poll(0))
 
     def _packets(self) -> float:
         return sum(self.source.packets().values())

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from map_service import postgres as patience
 from map_service.store import Store
 from tests.map_service.harness import Operator, Robot7, Service, hello, new_run
 from tests.postgres import DatabaseServer, database_server
@@ -21,10 +22,15 @@ def postgres() -> Iterator[DatabaseServer]:
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """Of an empty store: a test that takes it runs on both engines."""
+def url(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Of an empty store: a test that takes it runs on both engines.
+
+    This process is no owner that has gone to sleep when a busy machine keeps it from its transaction for a second.
+    """
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path}/map.db"
+    for limit in ("STATEMENT_S", "LOCK_S", "ASLEEP_S", "ANSWER_S"):
+        monkeypatch.setattr(patience, limit, 60.0)
     return request.getfixturevalue("postgres").empty_database()
 
 

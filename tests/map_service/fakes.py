@@ -36,6 +36,7 @@ from map_service.types import (
 )
 from splitslam.errors import DataError
 from splitslam.scan import GnssFix
+from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
 
 KEYFRAME_EVERY = 5
@@ -44,7 +45,8 @@ POINTS_LIDAR = np.array([[1, 0, 0], [0, 2, 0], [0, 0.01, 0]], np.float32)
 
 
 def payload(does: str = "map", **values: Any) -> bytes:
-    """does: map | corrupt | raise | unsettled | crash (once=) | away (once=) | sleep (seconds=) | correct (by_m=)."""
+    """does: map | corrupt | raise | unsettled | crash (once=) | away (once=) | sleep (seconds=) | correct (by_m=) |
+    wait (begun=, over=): makes the first file, goes on when there is the other; a test need not hurry."""
     return json.dumps({"does": does, **values}).encode()
 
 
@@ -138,6 +140,9 @@ class FakePipeline:
                 if "begun" in frame:
                     open(frame["begun"], "w").close()
                 time.sleep(frame["seconds"])
+            case "wait":
+                open(frame["begun"], "w").close()
+                wait_until(lambda: os.path.exists(frame["over"]), 60.0, "the end of a frame that waits")
 
     @property
     def commit_due(self) -> bool:

@@ -19,7 +19,7 @@ import grpc
 import yaml
 
 from splitslam.robot import Robot, robot_to_yaml
-from splitslam.stack.process import free_port
+from splitslam.stack.process import free_port, wait_until
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import session_pb2_grpc as rpc
 from tests.conftest import ROOT
@@ -137,6 +137,20 @@ def hello(run_id: str, /, **changes: Any) -> pb.Hello:
         "lockstep": True,
     }
     return pb.Hello(**(values | changes))
+
+
+class Held:
+    """A frame that keeps its worker busy until the test has seen what it wants, however slow the machine is."""
+
+    def __init__(self, folder: Path) -> None:
+        self._begun, self._over = folder / "begun", folder / "over"
+        self.content = payload("wait", begun=str(self._begun), over=str(self._over))
+
+    def wait_begun(self) -> None:
+        wait_until(self._begun.exists, WAIT_S, "the frame at work")
+
+    def end(self) -> None:
+        self._over.touch()
 
 
 def frame(seq: int, content: bytes | None = None, **changes: Any) -> pb.Frame:

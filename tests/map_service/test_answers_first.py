@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from map_service.host import SessionHost
 from map_service.settings import PipelineSettings
 from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
+from tests.logs.said import said
 from tests.map_service.fakes import FakeEngine, FakePipeline, payload
 from tests.map_service.harness import frame, hello, new_run
 
@@ -109,14 +111,38 @@ def test_a_frame_that_fails_after_its_answer_ends_the_stream_before_the_next_one
 
 
 def test_the_answer_goes_out_whoever_waits_behind_it(tmp_path: Path) -> None:
-    said: list[Any] = []
+    heard: list[Any] = []
     url = f"sqlite:///{tmp_path / 'map.db'}"
     store = Store(url)
     engine: Any = FakeEngine(PipelineSettings(), 1)
-    host = SessionHost(ServiceConfig(store=url), engine, store, said.append)
+    host = SessionHost(ServiceConfig(store=url), engine, store, heard.append)
     host.handle(Open(1, "rover-7", hello(new_run()).SerializeToString()))
-    said.clear()
+    heard.clear()
     send(host, 1, 1)
-    assert [type(reply) for reply in said] == [Reply]
+    assert [type(reply) for reply in heard] == [Reply]
     host.drain()
     store.close()
+
+
+def test_what_is_logged_of_a_session_can_be_read_when_its_robot_hears_of_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    logged: dict[str, list[str]] = {}
+
+    def hear(message: Any) -> None:
+        if isinstance(message, Reply):
+            kind = pb.StreamResponse.FromString(message.body).WhichOneof("message")
+            logged[str(kind)] = [event for event, _ in said(caplog)]
+
+    url = f"sqlite:///{tmp_path / 'map.db'}"
+    store = Store(url)
+    engine: Any = FakeEngine(PipelineSettings(), 1)
+    host = SessionHost(ServiceConfig(store=url), engine, store, hear)
+    with caplog.at_level(logging.INFO):
+        host.handle(Open(1, "rover-7", hello(new_run()).SerializeToString()))
+        send(host, 1, 1)
+        host.handle(Request(1, pb.StreamRequest(bye=pb.Bye(last_seq=1)).SerializeToString(), 0))
+        host.drain()
+    store.close()
+    assert "session open" in logged["welcome"]
+    assert "session finished" in logged["finished"]

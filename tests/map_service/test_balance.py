@@ -76,7 +76,7 @@ def membership(store: Store, sessions: int) -> Membership:
     return Membership(store, config, f"10.0.0.{sessions}:50051", lambda: sessions)
 
 
-def wait_for(done, timeout_s: float = 10.0) -> None:
+def wait_for(done, timeout_s: float = 30.0) -> None:
     deadline_s = time.monotonic() + timeout_s
     while not done():
         assert time.monotonic() < deadline_s
@@ -94,7 +94,8 @@ def test_replicas_see_each_other_and_one_that_is_silent_is_gone(tmp_path: Path) 
     late = membership(store, 3)
     late.start()
     wait_for(lambda: late.looks > 10)
-    assert sorted(peer.sessions for peer in late.peers.alive) == [1, 3], "the dead row never counted"
+    assert 2 not in {peer.sessions for peer in late.peers.alive}, "the dead row never counted"
+    wait_for(lambda: sorted(peer.sessions for peer in late.peers.alive) == [1, 3])
     one.leave(5.0)
     wait_for(lambda: [peer.sessions for peer in late.peers.alive] == [3])
     late.leave(5.0)
@@ -112,7 +113,7 @@ def test_nobody_is_sent_to_a_replica_whose_workers_have_died_until_one_is_back(t
     wait_for(lambda: one.peers.rooms(1) == ["10.0.0.2:50051"])
     ready.clear()
     wait_for(lambda: one.peers.rooms(1) == [])
-    assert two.peers.rooms(1) == ["10.0.0.1:50051"], "it still knows where its own robots could go"
+    wait_for(lambda: two.peers.rooms(1) == ["10.0.0.1:50051"])  # it still knows where its own robots could go
     ready.set()
     wait_for(lambda: one.peers.rooms(1) == ["10.0.0.2:50051"])
     one.leave(5.0)

@@ -93,7 +93,7 @@ def test_it_serves_with_the_real_pipeline_says_where_and_stops_at_sigterm(tmp_pa
         assert said["event"] == "listening"
         for name in ("grpc", "metrics"):
             host, _, port = said[name].partition(":")
-            with socket.create_connection((host, int(port)), timeout=5):
+            with socket.create_connection((host, int(port)), timeout=30):
                 pass
         service.send_signal(signal.SIGTERM)
-        assert service.wait(10) == 0
+        assert service.wait(60) == 0

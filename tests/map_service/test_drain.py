@@ -12,7 +12,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from splitslam.stack.process import wait_until
 from splitslam.wire import session_pb2 as pb
 from tests.map_service.fakes import payload
-from tests.map_service.harness import Service, descendants, frame
+from tests.map_service.harness import WAIT_S, Held, Service, descendants, frame
 from tests.map_service.test_survival import Connect, wait_until_gone
 
 
@@ -46,18 +46,19 @@ def test_sigterm_drains_tells_robots_commits_and_exits_with_zero(
 def test_a_service_that_drains_answers_what_it_has_and_takes_no_new_stream(
     service: Service, connect: Connect, tmp_path: Path
 ) -> None:
-    robot, begun = connect(service), tmp_path / "begun"
+    robot, held = connect(service), Held(tmp_path)
     robot.next("welcome")
-    robot.send(frame(1, payload("sleep", seconds=2.0, begun=str(begun))))
-    wait_until(begun.exists, 20.0, "the frame at work")
+    robot.send(frame(1, held.content))
+    held.wait_begun()
     assert service.process is not None
     service.process.terminate()
     robot.next("drain")
     late = connect(service)
     assert late.end() == grpc.StatusCode.UNAVAILABLE
     assert late.inbox.get() is None, "without a message, so that a proxy may try elsewhere"
+    held.end()
     assert robot.next("odometry").seq == 1
-    assert service.process.wait(10) == 0
+    assert service.process.wait(WAIT_S) == 0
 
 
 def test_a_drain_that_takes_too_long_is_cut_short(

@@ -53,7 +53,7 @@ def test_a_frozen_server_hangs_nobody(postgres: DatabaseServer, store: Store) ->
         start_s = time.monotonic()
         with pytest.raises(StoreError):
             store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
-        assert time.monotonic() - start_s < 10 * patience.ANSWER_S
+        assert time.monotonic() - start_s < 60 * patience.ANSWER_S
     store.commit(opened.key, 1, entry(0, 3, keyframes=(0,)))
     assert store.load(opened.key).last_seq == 3
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from map_service.catalog import Catalog
 from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
-from tests.map_service.harness import Robot7, Service, frame, new_run
+from tests.map_service.harness import WAIT_S, Robot7, Service, frame, new_run
 
 RETRY_S = 7.0
 MANY = 300  # frames; at 200 bytes each far beyond the quota
@@ -23,7 +23,7 @@ def test_a_site_at_its_quota_is_refused_in_the_run_and_at_hello_and_all_that_was
     )
     robot = connect(service, site_id="poor")
     seq = 0
-    while (response := robot.inbox.get(timeout=10)) is not None and not response.HasField("refused"):
+    while (response := robot.inbox.get(timeout=WAIT_S)) is not None and not response.HasField("refused"):
         assert seq < MANY, "never refused"
         if response.HasField("welcome") or response.HasField("odometry"):
             seq += 1

@@ -144,7 +144,10 @@ def test_metrics_count_frames_by_result_and_time_every_answer(
     robot = connect(service)
     for seq, content in ((1, None), (2, None), (2, None), (3, payload("corrupt")), (4, None)):
         robot.ask(frame(seq, content))
-    for _ in range(4):
+    robot.wait_durable(4)
+    committed = 'splitslam_map_commits_total{result="ok"}'
+    service.wait_metrics(lambda page: page["splitslam_map_keyframes_total"] >= 1 and page[committed] >= 1, "the commit")
+    for _ in range(3):  # the worker has told all that it counts, once at least, since the last answer
         robot.next("credit")
     metrics = service.metrics()
     assert metrics['splitslam_map_frames_total{result="mapped"}'] == 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 
 import grpc
@@ -14,7 +14,7 @@ from map_service.catalog import Catalog
 from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, frame, hello, new_run
+from tests.map_service.harness import WAIT_S, Operator, Robot7, Service, frame, hello, new_run
 from tests.postgres import DatabaseServer
 
 AWAY_S = 3.0
@@ -73,6 +73,7 @@ def test_a_store_that_dies_for_three_seconds_costs_no_frame_and_no_answer(
             seq += 1
             robot.robot.send(frame(seq))
             robot.listen(PERIOD_S)
+        robot.listen(WAIT_S, until_seq=seq)
         assert robot.seq == seq, "answers go on"
         times = [killed_s, *(at_s for seq, at_s in robot.answered if seq > BEFORE)]
         assert max(b - a for a, b in pairwise(times)) < LONGEST_GAP_S
@@ -80,6 +81,7 @@ def test_a_store_that_dies_for_three_seconds_costs_no_frame_and_no_answer(
         last = BEFORE + BACKLOG + WINDOW
         for late in range(seq + 1, last + 1):
             robot.robot.send(frame(late))
+        robot.listen(WAIT_S, until_seq=BEFORE + BACKLOG)
         robot.listen(1.0)
         assert robot.seq == BEFORE + BACKLOG, "what is not durable is bounded: the rest waits in the window"
         other = Robot7(service.address, hello(new_run()))
@@ -89,7 +91,7 @@ def test_a_store_that_dies_for_three_seconds_costs_no_frame_and_no_answer(
         other.close()
     finally:
         postgres.start()
-    robot.listen(10.0, until_seq=last)
+    robot.listen(WAIT_S, until_seq=last)
     assert [seq for seq, _ in robot.answered] == list(range(1, last + 1))
     robot.robot.send(pb.Bye(last_seq=last))
     assert robot.robot.next("finished").mapped == last
@@ -105,9 +107,11 @@ def test_what_was_called_durable_is_in_the_store_after_it_was_killed_under_load(
     url = postgres.empty_database()
     service = start_service(store=url, commit={"every_frames": 1})
     robot = Listener(connect(service))
-    for seq in range(1, 200):
+    for seq in count(1):
         robot.robot.send(frame(seq))
         robot.listen(0.002)
+        if seq >= 200 and robot.durable_seq:
+            break
     postgres.kill()
     robot.listen(1.0)
     service.kill()

@@ -16,7 +16,7 @@ from map_service.store import Store
 from splitslam.wire import session_pb2 as pb
 from splitslam.wire import types_pb2 as types
 from tests.map_service.fakes import FINAL_SHIFT_M, payload
-from tests.map_service.harness import Operator, Robot7, Service, frame, hello, new_run
+from tests.map_service.harness import Held, Operator, Robot7, Service, frame, hello, new_run
 
 Connect = Callable[..., Robot7]
 
@@ -182,16 +182,19 @@ def test_more_frames_than_the_window_are_answered_all_the_same(service: Service,
     assert [robot.next("odometry").pose_map_lidar.tx_m for _ in range(100)] == list(range(1, 101))
 
 
-def test_a_robot_that_sends_more_than_its_window_is_not_read_any_further(service: Service, connect: Connect) -> None:
-    robot = connect(service)
+def test_a_robot_that_sends_more_than_its_window_is_not_read_any_further(
+    service: Service, connect: Connect, tmp_path: Path
+) -> None:
+    robot, held = connect(service), Held(tmp_path)
     robot.next("welcome")
-    robot.send(frame(1, payload("sleep", seconds=2.0)))
+    robot.send(frame(1, held.content))
     for seq in range(2, 101):
         robot.send(frame(seq))
     waiting = 'splitslam_map_queue_frames{worker="0"}'
     service.wait_metrics(lambda page: page[waiting] >= 16, "a full window")
     robot.next("credit")
     assert service.metrics()[waiting] == 16
+    held.end()
     assert [robot.next("odometry").seq for _ in range(100)] == list(range(1, 101))
 
 
@@ -302,8 +305,12 @@ def test_a_stream_that_breaks_is_counted_by_its_end_and_leaves_no_traceback(
     crash.send(frame(2, payload("crash", once=str(service.folder / "crashed"))))
     assert crash.end() == grpc.StatusCode.UNAVAILABLE
     ends = {"ok": 1, "cancelled": 1, "aborted": 1, "unavailable": 1}
-    metrics = service.metrics()
-    assert {name: metrics[f'splitslam_map_stream_ends_total{{status="{name}"}}'] for name in ends} == ends
+
+    def counted(page: dict[str, float]) -> dict[str, float]:
+        return {name: page[f'splitslam_map_stream_ends_total{{status="{name}"}}'] for name in ends}
+
+    service.wait_metrics(lambda page: sum(counted(page).values()) >= len(ends), "each end counted")
+    assert counted(service.metrics()) == ends
     log = [json.loads(line) for line in service.log.splitlines()]
     assert {line["status"] for line in log if line["event"] == "stream ended"} == set(ends)
     assert not [line for line in log if "exception" in line]

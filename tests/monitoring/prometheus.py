@@ -16,7 +16,7 @@ import yaml
 from splitslam.stack.process import StackProcess, free_port, wait_until
 from tests import debian
 
-_START_S, _STOP_S, _ASK_S = 20.0, 5.0, 10.0
+_START_S, _STOP_S, _ASK_S = 60.0, 5.0, 30.0
 
 
 def binary(name: str) -> Path:

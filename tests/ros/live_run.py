@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from tests.conftest import ROOT
 from tests.ros.listen import READY
 
 PYTHON = sys.executable
+LAST_WORD = '"message": "stopped"'  # of the agent, in its diagnostics
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def live_run(
     listener: Sequence[str],
     environment: Mapping[str, str],
     of_player: Mapping[str, str] | None = None,
-    timeout_s: float = 120.0,
+    timeout_s: float = 240.0,
 ) -> LiveRun:
     """The agent runs to its end (its source must have one); then the others are ended.
 
@@ -66,10 +67,10 @@ def live_run(
         playing = stack.enter_context(_Program(folder / "player", player, of_player or environment))
         running = stack.enter_context(_Program(folder / "agent", command, environment))
         running.wait(timeout_s, (playing, hearing))
-        playing.wait(30.0)
-        time.sleep(0.5)
+        playing.wait(60.0)
+        hearing.wait_until(lambda: LAST_WORD in hearing.said, f"hear {LAST_WORD!r}")
         hearing.process.terminate()
-        hearing.wait(20.0)
+        hearing.wait(60.0)
     report = json.loads((folder / "out" / "edge.json").read_text())
     return LiveRun(folder / "out", report, playing.said, hearing.said, running.complained)
 
@@ -108,10 +109,13 @@ class _Program:
 
     def wait_for(self, word: str, timeout_s: float = 60.0) -> None:
         """Until it has said this on stderr."""
+        self.wait_until(lambda: word in self.complained, f"say {word!r}", timeout_s)
+
+    def wait_until(self, done: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
         deadline_s = time.monotonic() + timeout_s
-        while word not in self.complained:
+        while not done():
             in_vain = self.check() or time.monotonic() > deadline_s
-            assert not in_vain, f"{self._path.name} does not say {word!r}: {self.complained[-2000:]}"
+            assert not in_vain, f"{self._path.name} does not {what}: {self.complained[-2000:]}"
             time.sleep(0.02)
 
     def wait(self, timeout_s: float, others: Sequence[_Program] = ()) -> None:

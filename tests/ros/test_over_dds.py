@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from tests.ros.dds import DOMAIN, cyclonedds_uri
-from tests.ros.first_nine_seconds import OFTEN, SECONDS, check, robot_file
+from tests.ros.first_nine_seconds import OFTEN, SECONDS, SILENT_S, check, robot_file
 from tests.ros.live_run import live_run
 
 
@@ -17,7 +17,7 @@ def test_yard1_over_dds_loses_nothing_is_as_good_as_from_the_file_and_comes_out_
 ):
     bag = shared_data / "yard1" / "yard1.bag"
     graph = {"via": "cyclonedds", "domain_id": DOMAIN}
-    source = {"ros2": {**graph, "end_after_s": 1.5}}
+    source = {"ros2": {**graph, "end_after_s": SILENT_S}}
     agent = {"robot": str(robot_file(tmp_path, bag)), "source": source, "ros": {"rate_hz": 50, **OFTEN}}
     player = [sys.executable, "-m", "tests.ros.play_dds", str(bag), str(SECONDS), str(DOMAIN)]
     listener = [sys.executable, "-m", "tests.ros.listen", "ros2", json.dumps(graph)]

@@ -232,7 +232,7 @@ def test_a_stop_is_said_in_the_diagnostics(stage: Stage):
 def test_a_graph_that_blocks_costs_samples_which_are_counted_and_the_pipeline_never_waits():
     blocked, graph = threading.Event(), FakeGraph()
     with ExitStack() as stack:
-        graph.receivers["/tf"].append(lambda raw: (blocked.wait(10.0), None)[1])
+        graph.receivers["/tf"].append(lambda raw: (blocked.wait(60.0), None)[1])
         output = Stage(graph, stack).output(rate_hz=0.0, queue=50)
         stack.callback(blocked.set)
         began_s = time.thread_time()

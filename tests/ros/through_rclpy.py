@@ -44,7 +44,10 @@ def hear(speaker: Graph, listener: Graph, topic: str, msgtype: str, messages: li
     heard: list[bytes] = []
     listener.subscribe(topic, msgtype, SCANS if msgtype == made.CLOUD else SAMPLES, heard.append)
     connected = _until(lambda: send(messages[0]) or heard)
-    time.sleep(0.2)
+    before = -1
+    while before != len(heard):  # until all has come that was said meanwhile
+        before = len(heard)
+        time.sleep(1.0)
     heard.clear()
     for message in messages:
         send(message)
@@ -82,7 +85,7 @@ def _message(made_message: tuple) -> bytes:
     return CODEC.encode(made.build(CODEC.types, msgtype, fields, False))
 
 
-def _until(done: Callable[[], object], timeout_s: float = 10.0) -> bool:
+def _until(done: Callable[[], object], timeout_s: float = 30.0) -> bool:
     deadline_s = time.monotonic() + timeout_s
     while not done():
         if time.monotonic() > deadline_s:

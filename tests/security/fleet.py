@@ -30,7 +30,7 @@ from tests.map_service.harness import frame, hello, new_run
 from tests.stack.conftest import FAKE
 
 FLEET, HOST = "farm.example", "127.0.0.1"
-CALL_S = 10.0
+CALL_S = 30.0
 _TLS_REASONS = ("no_certificate", "expired", "unknown_authority", "wrong_purpose")
 
 
@@ -83,6 +83,12 @@ def rises(before: dict[str, int], after: dict[str, int]) -> set[str]:
     return {name for name, value in after.items() if value > before.get(name, 0)}
 
 
+def rise_of(fleet: Fleet, before: dict[str, int], *expected: str) -> set[str]:
+    """The same, once these have risen: a proxy may count a refusal a moment after it was felt."""
+    wait_until(lambda: rises(before, fleet.counters()) >= set(expected), CALL_S, f"{expected} counted")
+    return rises(before, fleet.counters())
+
+
 @contextlib.contextmanager
 def fleet_of(folder: Path) -> Iterator[Fleet]:
     with contextlib.ExitStack() as cleanup:
@@ -103,7 +109,7 @@ def fleet_of(folder: Path) -> Iterator[Fleet]:
             proxy.start()
             proxies.append(proxy)
         for proxy in proxies:
-            wait_until(lambda p=proxy: p.healthy() == {replica.address}, 10.0, "the service healthy for the proxy")
+            wait_until(lambda p=proxy: p.healthy() == {replica.address}, 30.0, "the service healthy for the proxy")
         yield Fleet(folder, authority, replica, *proxies)
 
 

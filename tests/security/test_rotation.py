@@ -27,7 +27,8 @@ from tests.security.fleet import FLEET, HOST, Client, Fleet, fleet_of
 from tests.stack.conftest import REEL
 
 PATIENT = UplinkConfig(welcome_timeout_s=3.0, watchdog_s=5.0)
-SETTLED_S = 10.0
+SETTLED_S = 30.0
+QUIET_GAP_S = 0.15  # between two answers at 10 Hz, of a machine with nothing else to do
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def shown_by(address: str, client: Issued, ca: Path) -> int:
     context = ssl.create_default_context(cafile=ca)
     context.load_cert_chain(client.path, client.path.with_suffix(".key"))
     host, _, port = address.rpartition(":")
-    plain = socket.create_connection((host, int(port)), 5.0)
+    plain = socket.create_connection((host, int(port)), SETTLED_S)
     with context.wrap_socket(plain, server_hostname=host) as connection:
         shown = connection.getpeercert(binary_form=True)
     assert shown is not None
@@ -54,6 +55,7 @@ def test_everybodys_certificate_is_renewed_while_a_stream_runs(fleet: Fleet) -> 
     robot = LightRobot(fleet.envoy.address, REEL, "rover-1", uplink=PATIENT, tls=fleet.tls(before))
     robot.start()
     robot.wait_answers(10)
+    calm_s = robot.gap_s()
     expiry = "splitslam_map_certificate_expiry_timestamp_seconds"
     old_expiry = fleet.replica.metrics()[expiry]
     renewed = {
@@ -67,7 +69,7 @@ def test_everybodys_certificate_is_renewed_while_a_stream_runs(fleet: Fleet) -> 
     robot.wait_answers(robot.answered + 10)
     assert robot.metrics.registry.get_sample_value("splitslam_edge_reconnects_total", {"cause": "UNAVAILABLE"}) is None
     assert robot.attempt == 0
-    assert robot.gap_s() < 2.0
+    assert robot.gap_s() < 2.0 * max(1.0, calm_s / QUIET_GAP_S)  # where undisturbed answers are late, so are these
     # Envoy's next connection to the service, and the robot's own next one, are by the new certificates
     fleet.envoy.kill()
     answered = robot.answered
@@ -114,7 +116,7 @@ def test_a_certificate_that_is_revoked_loses_its_open_stream(fleet: Fleet) -> No
     robot.start()
     robot.wait_answers(5)
     fleet.authority.revoke(issued)
-    wait_until(lambda: robot.failure is not None, 8.0, "the stream ended")
+    wait_until(lambda: robot.failure is not None, SETTLED_S, "the stream ended")
     robot.close()
     assert "revoked" in str(robot.failure)
 
@@ -148,7 +150,7 @@ def test_an_expired_certificate_is_named_by_the_robot_that_has_it(fleet: Fleet) 
     robot = LightRobot(fleet.envoy.address, REEL, "rover-8", uplink=impatient, tls=fleet.tls(issued))
     assert robot._uplink.certificate_expires_s() < time.time()
     robot.start()
-    wait_until(lambda: robot.failure is not None, 8.0, "the robot gave up")
+    wait_until(lambda: robot.failure is not None, SETTLED_S, "the robot gave up")
     robot.close()
     assert "the certificate expired on 20" in str(robot.failure)
 

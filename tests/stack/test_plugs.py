@@ -98,18 +98,19 @@ def test_a_frozen_replica_is_left_and_cannot_write_when_it_wakes(whole: Stack, d
     Keyframes are seq 1, 6, 11, ...
     """
     robots = drive(3, UplinkConfig())
+    wait_level(whole, [1, 1, 1])
     frozen = fullest(whole)
     before = fenced(frozen)
     theirs = next(robot for robot in robots if owner(whole, robot) == frozen.name)
-    wait_until(lambda: theirs.answered % 5 == 3, 10.0, "a frame between two commits")
+    wait_until(lambda: theirs.answered % 5 == 3, 30.0, "a frame between two commits")
     workers = frozen.workers()
     since_s = time.monotonic()
     frozen.freeze()
-    wait_until(lambda: frozen.address not in whole.envoy.healthy(), 20.0, "the proxy to take it out")
+    wait_until(lambda: frozen.address not in whole.envoy.healthy(), 60.0, "the proxy to take it out")
     go_on(robots)
     frozen.thaw()
     check_gaps(robots, since_s, bars.FROZEN_REPLICA_GAP_S)
-    wait_until(lambda: fenced(frozen) > before, 20.0, "the zombie's commit refused")
+    wait_until(lambda: fenced(frozen) > before, 60.0, "the zombie's commit refused")
     assert frozen.alive
     assert frozen.workers() == workers, "a worker was killed for the time in which its front was frozen"
     check_each_frame_once(whole, robots)
@@ -119,10 +120,10 @@ def test_a_new_replica_takes_its_share_and_sessions_then_stay_where_they_are(who
     """Three replicas, two, three."""
     robots = drive(4)
     whole.remove_replica(whole.replicas[0])
-    wait_until(lambda: loads(whole) == [2, 2], 15.0, "two and two robots")
+    wait_until(lambda: loads(whole) == [2, 2], 60.0, "two and two robots")
     since_s = time.monotonic()
     new = whole.add_replica()
-    wait_until(lambda: loads(whole) == [1, 1, 2], 15.0, "robots on all three")
+    wait_level(whole, [1, 1, 2])
     assert streams(new) >= 1
     moves = rebalanced(whole)
     time.sleep(2.5)  # twelve looks
@@ -137,7 +138,7 @@ def test_a_new_replica_takes_its_share_and_sessions_then_stay_where_they_are(who
 def test_robots_find_their_replica_again_after_sigkill_of_the_proxy(whole: Stack, drive: Drive) -> None:
     """The sessions are still in the memory of their replicas: nothing is built again."""
     robots = drive(3)
-    wait_until(lambda: loads(whole) == [1, 1, 1], 15.0, "one robot each")
+    wait_level(whole, [1, 1, 1])
     before = [owner(whole, robot) for robot in robots]
     whole.envoy.kill()
     whole.envoy.start()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import yaml
 from splitslam.errors import InputError
 from splitslam.stack import EnvoyProxy, PostgresServer, Stack
 from splitslam.stack.envoy import TEMPLATE, native
-from splitslam.stack.process import StackError, StackProcess
+from splitslam.stack.process import StackError, StackProcess, free_port
 from splitslam.stack.reel import record
 from tests.conftest import ROOT
 from tests.map_service.harness import descendants
@@ -68,6 +69,23 @@ def test_a_process_that_does_not_start_is_named_with_its_last_line(tmp_path: Pat
     assert process.wait(30) == 1
     with pytest.raises(StackError, match="part ended with 1: no such thing"):
         process.check_alive()
+
+
+_TAKER = "from splitslam.stack.process import free_port; print(free_port(), flush=True); input()"
+
+
+def test_a_port_that_another_process_was_given_is_not_given_again_before_that_one_has_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    command = [sys.executable, "-c", _TAKER]
+    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        port = int(other.stdout.readline())
+        monkeypatch.setattr(random.SystemRandom, "sample", lambda *_: [port])
+        with pytest.raises(StackError, match="no free port"):
+            free_port()
+        other.communicate("\n")
+    assert free_port() == port
 
 
 _OWNER = """

@@ -20,7 +20,7 @@ def loads(stack: Stack) -> list[int]:
     return sorted(map(streams, stack.replicas))
 
 
-def wait_level(stack: Stack, expected: list[int], timeout_s: float = 20.0) -> None:
+def wait_level(stack: Stack, expected: list[int], timeout_s: float = 60.0) -> None:
     """Those loads, and nobody about to be sent elsewhere: replicas decide by what they saw a moment ago."""
     deadline_s = time.monotonic() + timeout_s
     moves, since_s = -1, 0.0

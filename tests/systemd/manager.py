@@ -62,7 +62,7 @@ class Manager:
         self._socket.bind(str(root / "notify"))
         self._socket.settimeout(0.05)
         self._process: subprocess.Popen[bytes] | None = None
-        self._closed = False
+        self._closed, self._quiet = False, 0
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 
@@ -129,7 +129,7 @@ class Manager:
                 text = self._socket.recv(65536).decode()
                 self.said.append(Said(time.monotonic(), dict(line.split("=", 1) for line in text.splitlines())))
             except TimeoutError:
-                pass
+                self._quiet += 1
             alive = [said.at_s for said in self.said if said.fields.keys() & {"WATCHDOG", "READY"}]
             over = any("STOPPING" in said.fields for said in self.said)
             silent = bool(alive) and time.monotonic() - alive[-1] > self.watchdog_s
@@ -146,9 +146,11 @@ class Manager:
         self._process.send_signal(number)
 
     def wait(self, timeout_s: float = 240.0) -> int:
-        """Exit code; negative: the signal that ended it."""
+        """Exit code; negative: the signal that ended it. All that it has said is in `said` then."""
         assert self._process is not None
-        return self._process.wait(timeout_s)
+        code, quiet = self._process.wait(timeout_s), self._quiet
+        self.until(lambda: self._quiet >= quiet + 2, "its last words")  # the first may be one of before its end
+        return code
 
     def restarts(self, exit_code: int) -> bool:
         """Whether systemd would start it again after this end (Restart=on-failure)."""

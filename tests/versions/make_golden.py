@@ -78,7 +78,7 @@ def poses_of(target: tuple[str, int]) -> dict[str, list[list[float]]]:
     with grpc.insecure_channel(f"{target[0]}:{target[1]}") as channel:
         for name, session in sessions_of(target).items():
             request = pb.TrajectoryRequest(session_id=session.session_id)
-            chunks = rpc.SessionServiceStub(channel).Trajectory(request, timeout=20)
+            chunks = rpc.SessionServiceStub(channel).Trajectory(request, timeout=60)
             found[name] = [
                 [p.seq, p.stamp_ns, p.pose.tx_m, p.pose.ty_m, p.pose.tz_m, p.pose.qx, p.pose.qy, p.pose.qz, p.pose.qw]
                 for chunk in chunks

@@ -133,7 +133,7 @@ def robot(
 
 def sessions_of(target: tuple[str, int]) -> dict[str, pb.SessionInfo]:
     with grpc.insecure_channel(f"{target[0]}:{target[1]}") as channel:
-        listed = rpc.SessionServiceStub(channel).List(pb.ListRequest(), timeout=10).sessions
+        listed = rpc.SessionServiceStub(channel).List(pb.ListRequest(), timeout=30).sessions
     return {session.robot_id: session for session in listed}
 
 
@@ -141,7 +141,7 @@ def trajectory_of(target: tuple[str, int], session: pb.SessionInfo, file: Path) 
     """Writes it and returns the seq of every pose."""
     with grpc.insecure_channel(f"{target[0]}:{target[1]}") as channel:
         request = pb.TrajectoryRequest(session_id=session.session_id)
-        chunks = rpc.SessionServiceStub(channel).Trajectory(request, timeout=20)
+        chunks = rpc.SessionServiceStub(channel).Trajectory(request, timeout=60)
         poses = [pose for chunk in chunks for pose in chunk.poses]
     lines = []
     for stored in poses:

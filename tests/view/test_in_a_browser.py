@@ -43,7 +43,7 @@ def page_of(*arguments: str) -> Iterator[str]:
             yield line
         finally:
             process.terminate()
-            assert process.wait(20) == 0
+            assert process.wait(60) == 0
 
 
 def near(picture: NDArray[np.uint8], colour: tuple[int, int, int], off: float = 0.12) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ from tests.tolerances import VIEW_M
 from tests.view.logged import Logged
 
 Connect = Callable[..., Robot7]
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 class Viewer:
