@@ -22,7 +22,7 @@ from edge_agent.imu.reckoning import DeadReckoning, Leg, Reckoned
 from edge_agent.imu.rest import Rest
 from edge_agent.imu.scan_motion import ScanMotion
 from edge_agent.imu.settings import ImuSettings
-from edge_agent.imu.state import NavigationState, pose_and_velocity
+from edge_agent.imu.state import ImuNoise, NavigationState, pose_and_velocity
 from edge_agent.imu.steady import SteadyImu
 from edge_agent.imu.unseen import unseen
 from edge_agent.types import OdometryReply, OdomPoses
@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 _INITIALISING = 1
 _LEVEL_NS = 100_000_000
 _BACK_NS = 2_000_000_000  # before the newest sample a scan may begin that comes after silence
+_KNOWN_MPS = 0.3  # 1 sigma; beyond, the way of the last two scans tells more of the next one
 _SILENT_NS = 60_000_000_000  # without a sample: as good as for ever, nobody knows any motion over that
 
 
@@ -62,6 +63,7 @@ class ImuNode:
         self._started = False  # the filter has its first scan
         self._blind = False  # no sample has come: nobody knows where down is
         self._answers = 0
+        self._velocity_known = False
         self._live = Reckoned(0, np.zeros(15), np.eye(3), 0)  # what the output closes in on
         self._previous_scan_ns: int | None = None
         self._unseen_ns: int | None = None  # the scan after which none came for so long that the way from it is unknown
@@ -177,7 +179,8 @@ class ImuNode:
         """From here on. What came before is forgotten, and with it the way since the last scan; nothing is sure of the
         velocity."""
         self._unseen_ns = self._previous_scan_ns if self._unseen_ns is None else self._unseen_ns
-        self._started, self._answers, self._tilt_sigma_rad = False, 0, tilt_sigma_rad
+        self._started, self._answers, self._velocity_known = False, 0, False
+        self._tilt_sigma_rad = tilt_sigma_rad
         self._take(self._unsure(stamp_ns, T_odom_imu, velocity_mps, self._known.bias))
         self.imu.drop_before(stamp_ns)
         self.reckoning.drop_before(stamp_ns)
@@ -202,9 +205,11 @@ class ImuNode:
         rows = int(window.stamps_ns.searchsorted(previous_ns)), int(window.stamps_ns.searchsorted(start_ns))
         noise, P = self.imu.noise(anchor.stamp_ns, start_ns), leg.end.velocity_covariance
         if self.reckoning.wheels is None:
-            P = P + np.eye(3) * noise.accel_mps2_rthz**2 * (start_ns - anchor.stamp_ns) * 1e-9
+            P = P + self._integrated(noise, anchor.tilt_sigma_rad, (start_ns - anchor.stamp_ns) * 1e-9)
+        if self._answers >= 2 and float(np.linalg.eigvalsh(P)[-1]) <= _KNOWN_MPS**2:
+            self._velocity_known = True
         tilt_rad = UNKNOWN_TILT_RAD if self.imu.is_made(previous_ns, end_ns) else anchor.tilt_sigma_rad
-        known = tilt_rad, self._answers >= 2
+        known = tilt_rad, self._velocity_known
         motion = self._scan_motion.of(window, leg.states, rows, anchor.bias, P, noise, known)
         if start_ns - anchor.stamp_ns > self._kept_ns:  # nobody answers: what was integrated so far is not once more
             here = pose_and_velocity(leg.states[rows[1]])
@@ -213,6 +218,11 @@ class ImuNode:
         if self._unseen_ns is not None:
             motion, self._unseen_ns = unseen(motion, (start_ns - self._unseen_ns) * 1e-9), None
         return motion
+
+    def _integrated(self, noise: ImuNoise, tilt_sigma_rad: float, over_s: float) -> Array:
+        """(3, 3): what integration adds to the variance of a velocity in `odom`: noise, gravity taken for motion."""
+        level = (self.robot.gravity_mps2 * tilt_sigma_rad * over_s) ** 2
+        return np.diag([level, level, 0.0]) + np.eye(3) * noise.accel_mps2_rthz**2 * over_s
 
     def _initialise(self, start_ns: int, end_ns: int) -> None:
         """Level the robot by what the accelerometer says so far; nothing is assumed of its velocity."""
@@ -283,7 +293,7 @@ class ImuNode:
         self.imu.turned(anchor, self.filter.state)
         if self.filter.failed:  # it begins again where the output is, velocity unknown, biases forgotten
             self.resets += 1
-            self._answers = 0
+            self._answers, self._velocity_known = 0, False
             T_odom_imu = self.T_odom_lidar_at(stamp_ns) @ self.T_lidar_imu
             self._anchor = self._unsure(stamp_ns, T_odom_imu, np.zeros(3), np.zeros(6))
             self._start_filter(stamp_ns, T_server_imu)

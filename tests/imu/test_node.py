@@ -43,6 +43,22 @@ def test_a_moving_start_is_caught_up_with():
     assert node.resets == 0
 
 
+def test_answers_of_two_seconds_ago_do_not_make_a_velocity_known_while_down_is_not():
+    """A start in motion without a service: 0.1 rad of tilt are 2 m/s after two seconds of integration."""
+    node, drive, known = make_node(), Drive(speed_mps=2.0), []
+    T_imu_lidar = se3.inv(node.robot.T_lidar_imu)
+    for k, _, motion, _ in play(node, drive, 8.0, delay=20):
+        a, b = (drive.T_odom_imu(t) @ T_imu_lidar for t in ((k - 1) * 0.1, k * 0.1))
+        error_m = np.linalg.norm((se3.inv(se3.inv(a) @ b) @ motion.T_prev_lidar)[:3, 3])
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(motion.covariance[3:, 3:])[-1]))
+        assert k == 0 or error_m < 4.0 * sigma_m
+        if motion.velocity_known:
+            known.append(k)
+            assert sigma_m <= 0.031
+    assert 21 < known[0] < 40
+    assert known == list(range(known[0], known[-1] + 1))
+
+
 def test_a_10_hz_imu_is_enough_to_predict_a_scan():
     errors, _ = motion_errors(Drive(speed_mps=5.0, wobble_rad=0.02), 15.0, rate_hz=10.0)
     assert np.median(errors[:, 0]) < 0.04
