@@ -204,10 +204,11 @@ class ImuNode:
         leg = self._from_anchor(window)
         rows = int(window.stamps_ns.searchsorted(previous_ns)), int(window.stamps_ns.searchsorted(start_ns))
         noise, P = self.imu.noise(anchor.stamp_ns, start_ns), leg.end.velocity_covariance
+        made = self.imu.is_made(anchor.stamp_ns, start_ns)  # that holds the velocity, whatever is down
         if self.reckoning.wheels is None:
-            P = P + self._integrated(noise, anchor.tilt_sigma_rad, (start_ns - anchor.stamp_ns) * 1e-9)
-        if self._answers >= 2 and float(np.linalg.eigvalsh(P)[-1]) <= _KNOWN_MPS**2:
-            self._velocity_known = True
+            tilt_rad = 0.0 if made else anchor.tilt_sigma_rad
+            P = P + self._integrated(noise, tilt_rad, (start_ns - anchor.stamp_ns) * 1e-9)
+        self._velocity_known |= self._answers >= 2 and (made or bool(np.linalg.eigvalsh(P)[-1] <= _KNOWN_MPS**2))
         tilt_rad = UNKNOWN_TILT_RAD if self.imu.is_made(previous_ns, end_ns) else anchor.tilt_sigma_rad
         known = tilt_rad, self._velocity_known
         motion = self._scan_motion.of(window, leg.states, rows, anchor.bias, P, noise, known)
